@@ -4,8 +4,9 @@
     make figures ONLY="tip loop"    # these parts; prints them and writes nothing
     python -m bench.figures --readme   # the block of README, from docs/figures.json
 
-What a part needs of build/ is made first, as `make demo` makes it. A part that fails says so in its
-row; the pages are written at the end. Leave the machine alone meanwhile: some parts measure times.
+What a part needs of build/ is made first, as `make demo` and `make study` make it. A part that
+fails says so in its row; the pages are written at the end. Leave the machine alone meanwhile: some
+parts measure times.
 """
 
 from __future__ import annotations
@@ -72,14 +73,14 @@ def plant(out: Path) -> list[Figure]:
     """Tip of the identified plant on trials that no fit used."""
     rows = []
     for motion, words in (("20deg", "a 20° amplitude"), ("multisine", "a multisine")):
-        by_dof = _read(BUILD / f"evaluate_unseen_{motion}.json")["dof"]
+        by_dof = _read(BUILD / f"study/evaluate_unseen_{motion}.json")["dof"]
         for dof in ("1", "2"):
             rms_mm, rigid_mm = (1e3 * by_dof[dof][k] for k in ("tip_rms_m", "rigid_tip_rms_m"))
             rows.append(Figure(
                 f"plant-{motion}-{dof}dof",
                 f"RMS tip error of the identified plant on {words} that was not fitted, {dof}DOF",
                 rms_mm, f"{rms_mm:.2f} mm", f"a rigid link: {rigid_mm:.0f} mm", SIMULATION,
-                f"make build/evaluate_unseen_{motion}.json",
+                f"make build/study/evaluate_unseen_{motion}.json",
             ))  # fmt: skip
     return rows
 
@@ -88,14 +89,14 @@ def estimator(out: Path) -> list[Figure]:
     """What the estimated deformation index is worth beside the true one."""
     rows = []
     for dof in (1, 2):
-        study = _read(BUILD / f"bundle_{dof}dof/study.json")
+        study = _read(BUILD / f"study/bundle_{dof}dof/study.json")
         percent = 100 * study["estimators"]["unseen_20deg"]["observer"]["benefit_recovered"]["3"]
         rows.append(Figure(
             f"estimator-{dof}dof",
             "accuracy gained with the estimated DI, as a fraction of that gained with the true DI, "
             f"20° amplitude outside the training data, {dof}DOF",
             percent, f"{percent:.0f} %", "cubic polynomial", SIMULATION,
-            f"make build/bundle_{dof}dof/observer.fmu",
+            f"make build/study/bundle_{dof}dof/observer.fmu",
         ))  # fmt: skip
     return rows
 
@@ -376,9 +377,11 @@ PARTS: Final = {
     "fmu": Part("FMUs", fmu, ("build/twin_1dof.fmu", "build/twin_2dof.fmu")),
     "image": Part("The robot's package", image),
     "plant": Part("Plant", plant, (
-        "build/evaluate_unseen_20deg.json", "build/evaluate_unseen_multisine.json",
+        "build/study/evaluate_unseen_20deg.json", "build/study/evaluate_unseen_multisine.json",
     )),
-    "estimator": Part("Deformation index without motion capture", estimator, BUNDLES),
+    "estimator": Part("Deformation index without motion capture", estimator, (
+        "build/study/bundle_1dof/observer.fmu", "build/study/bundle_2dof/observer.fmu",
+    )),
     "tip": Part("Predicted tip", tip, BUNDLES),
     "plans": Part("Tip on a path", plans, BUNDLES),
     "link": Part("Another link", link, ("build/link_demo/plant.json",)),

@@ -6,6 +6,7 @@ Constant curvature, one first-order lag, friction in the servo.
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", "build/cache/hypothesis")  # not in the root
 
 import casadi as ca
 import numpy as np

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from bench import demo
+
 ROOT = Path(__file__).resolve().parents[1]
 
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make")
@@ -30,33 +32,43 @@ def commands():
     return planned("gap-demo", "HIDE=dead_time=0.03 creep=0.2")
 
 
-def test_every_trial_and_run_of_the_workflow_has_what_is_hidden(commands):
-    own = [c for c in commands if "build/gap_demo/" in c]
+def test_trials_and_runs_of_the_workflow_hide_the_effects_and_nothing_else_does(commands):
+    hidden = "--hide dead_time=0.03 --hide creep=0.2"
+    workflow = [c for c in commands if "build/gap_demo/" in c and "_without" not in c]
     for what in ("dropstitch simulate", "dropstitch sil", "report gap"):
-        told = [c for c in own if what in c and "_without" not in c]
-        assert told
-        assert all("--hide dead_time=0.03 --hide creep=0.2" in c for c in told)
-
-
-def test_nothing_else_knows_what_is_hidden(commands):
+        runs = [c for c in workflow if what in c]
+        assert runs
+        assert all(hidden in c for c in runs)
     blind = [
         c for c in commands if re.search(r"dropstitch (gap|train|identify|fmu )|sil_without", c)
     ]
     assert len(blind) > 10
-    assert not any("--hide" in c for c in blind)
-
-
-def test_every_choice_has_a_directory_of_its_own(commands):
+    assert not any("--hide" in c for c in [*blind, *planned("demo")])
     (report,) = [c for c in commands if "report gap" in c]
     assert "--out build/gap_demo/dead_time_0.03+creep_0.2/report.html" in report
 
 
-def test_the_demo_hides_nothing():
-    assert not any("--hide" in c for c in planned("demo"))
+@pytest.mark.parametrize("report", ["build/report.html", "build/study/report.html"])
+def test_demo_and_study_hide_nothing(report):
+    commands = planned(report)
+    assert len(commands) > 10
+    assert not any("--hide" in c for c in commands)
 
 
-def test_the_loop_in_software_runs_a_bundle_with_the_twin_of_its_plant():
-    """Of the demo where that was run, else of one joint alone."""
-    run = planned("sil")[-1]
-    bundle, twin = re.search(r"--bundle (\S+) --fmu (\S+) ", run).groups()
-    assert Path(bundle).parent == Path(twin).parent
+@pytest.mark.parametrize(("stages", "report"), [
+    (demo.DEMO, "build/report.html"), (demo.STUDY, "build/study/report.html"),
+])  # fmt: skip
+def test_the_stages_make_every_part_of_the_report(stages, report):
+    """Except for its last stage, which writes the report and needs nothing else."""
+    before = [target for stage in stages[:-1] for target in stage.targets.split()]
+    assert stages[-1].targets == report
+    assert {*planned(*before), planned(report)[-1]} == {*planned(report)}
+
+
+def test_a_stage_that_fails_prints_its_output_and_ends_the_demo(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(demo, "BUILD", tmp_path)
+    never = demo.Stage("never reached", "help", lambda: "")
+    stages = (demo.Stage("make nothing", "no-such-target", lambda: ""), never)
+    assert demo.run("demo", stages) != 0
+    out = capsys.readouterr().out
+    assert "no-such-target" in out and "never reached" not in out

@@ -18,7 +18,7 @@ from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 from models.trials.checks.trials import read_usable_trials
 
-EXAMPLE = "dropstitch evaluate build/unseen_20deg --plant build/plant.json"
+EXAMPLE = "dropstitch evaluate build/unseen_multisine --plant build/plant.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -29,7 +29,7 @@ from models.trials.trial import Trial
 
 EXAMPLE = (
     "dropstitch train build/trials --dof 1 --plant build/plant.json "
-    "--out build/bundle_1dof --unseen build/unseen_20deg"
+    "--out build/bundle_1dof --motions build/unseen_multisine"
 )
 
 

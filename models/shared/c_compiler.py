@@ -33,6 +33,8 @@ TARGETS: Final[Mapping[str, str]] = {
 """Zig's names of platforms, by those of FMI 3.0: Linux with the glibc of 2012, macOS 11."""
 CACHE: Final = Path(__file__).parents[2] / "build" / "cache"
 """Directory of compiled libraries, by hash of sources, headers, options and compiler."""
+ZIG_CACHE: Final = CACHE / "zig"
+"""Zig's C library and objects, 45 MB and more, which would fill a directory of the user's home."""
 OPTIONS_VARIABLE: Final = "DROPSTITCH_CC_OPTIONS"
 """Environment variable with further options. "-O0" compiles large models in a tenth of the
 time; the code is four times slower and gives the same bits. The tests of short runs use it."""
@@ -160,9 +162,7 @@ def _compile(
         sys.executable, "-m", "ziglang", "cc", *options,
         *(f"-I{directory}" for directory in include), *map(str, sources), "-o", str(output), "-lm",
     ]  # fmt: skip
-    environment = dict(os.environ)
-    if not environment.get("HOME"):  # Zig's cache is in the home directory by default
-        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
+    environment = {"ZIG_GLOBAL_CACHE_DIR": str(ZIG_CACHE), **os.environ}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         raise DropstitchError(f"the C compiler refused {sources[0].name}:\n{done.stderr.strip()}")

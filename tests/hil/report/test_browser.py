@@ -2,6 +2,7 @@
 
 import html
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -73,6 +74,7 @@ def test_a_page_fits_its_screen_and_its_drawings_are_legible(shown, width, heigh
         [CHROMIUM, *FLAGS, "--virtual-time-budget=10000",
          f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", frame.as_uri()],
         capture_output=True, text=True, timeout=120, check=True,
+        env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)},
     )  # fmt: skip
     output = re.search(r'data-measured="([^"]*)"', done.stdout)
     assert output, done.stderr[-2000:]
