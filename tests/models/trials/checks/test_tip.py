@@ -33,7 +33,6 @@ def pivot(trial, offset_m):
 
 WRONG = {
     "x is negated": lambda t: with_tip(t, t.tip_m * [-1, 1, 1]),
-    "x and z are exchanged": lambda t: with_tip(t, t.tip_m[:, [2, 1, 0]]),
     "it is marker m01": lambda t: with_tip(t, t.markers_m[:, 0]),
     "no constant offset": lambda t: with_tip(t, t.tip_m * [0, 1, 1]),
     "dx, dy, dz = +0, +0, -300 mm in the frame of the world": lambda t: with_tip(
@@ -81,8 +80,7 @@ def test_a_marker_elsewhere_is_not_taken_for_a_tip_elsewhere(trial):
     assert judge_tip(trial) == []
 
 
-@pytest.mark.parametrize("markers", [True, False])
-@pytest.mark.parametrize("jump_m", [9.0, 0.1])
+@pytest.mark.parametrize(("markers", "jump_m"), [(True, 0.1), (False, 9.0)])
 def test_one_wrong_sample_of_the_tip_is_only_a_warning(trial, markers, jump_m):
     trial.columns["tip_x_m"][150] += jump_m
     jump = trial if markers else without_markers(trial)
@@ -102,10 +100,7 @@ def test_without_markers_only_the_reach_is_known(trial):
     (found,) = judge_tip(without_markers(with_tip(trial, 39.37 * trial.tip_m)))
     assert "it is in inches" in found.text
     assert judge_tip(with_tip(trial, np.nan * trial.tip_m)) == []
-
-
-def test_a_trial_of_another_plant_has_no_tip_to_compare(trial):
-    other = msgspec.structs.replace(trial.meta, link_length_m=0.0)
+    other = msgspec.structs.replace(trial.meta, link_length_m=0.0)  # of another plant
     assert judge_tip(replace(WRONG["x is negated"](trial), meta=other)) == []
 
 
@@ -117,5 +112,4 @@ def test_commands_that_use_trials_refuse_a_wrong_tip(trial, tmp_path, capsys, co
     options = ["--plant", "models/plant/nominal.toml", *out, *dof]
     assert main([command, str(tmp_path / "trials"), *options]) == 2
     error = capsys.readouterr().err
-    assert "run.csv: the tip is" in error and "x is negated" in error
-    assert len(error.strip().splitlines()) == 1
+    assert "run.csv: the tip is" in error and error.count("\n") == 1

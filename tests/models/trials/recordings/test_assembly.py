@@ -49,7 +49,7 @@ def test_an_occlusion_is_not_spread_to_measured_samples():
 # --- times of the rows ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.002, 0.016])
+@pytest.mark.parametrize("late_s", [0.0, 0.016])
 def test_a_goal_within_a_period_after_a_sample_belongs_to_its_row(late_s, tmp_path):
     sampled_s, goals = STEP_S * np.arange(40), np.arange(40) / 100
     measured = Series(sampled_s, {"angle_1_rad": goals, "current_1_a": goals}, tmp_path)
@@ -58,7 +58,7 @@ def test_a_goal_within_a_period_after_a_sample_belongs_to_its_row(late_s, tmp_pa
     assert np.array_equal(trial.goal_rad[:-1], trial.angle_rad[:-1])
 
 
-@pytest.mark.parametrize("mocap_first_s", [-0.4, 0.0, 0.0095, 0.176])
+@pytest.mark.parametrize("mocap_first_s", [-0.4, 0.0095, 0.176])
 def test_goals_and_angles_keep_their_samples_whatever_file_starts_first(mocap_first_s, tmp_path):
     rows = np.arange(100.0)
     servo = {"goal_1_rad": rows / 100, "angle_1_rad": np.sqrt(rows), "current_1_a": rows % 7}

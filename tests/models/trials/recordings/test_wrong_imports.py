@@ -90,7 +90,6 @@ def one_joint(document):
 
 
 COUNTS = {"scale": 4096 / 360 * math.degrees(1)}
-TURNS = {"scale": math.degrees(1) / 360}
 TWICE = {"scale": math.radians(1)}
 ROWS = [(f"m{k:02d}", f"m{k + 12:02d}") for k in range(1, 5)]
 MIRRORED = [(f"m{k:02d}", f"m{k + 1:02d}") for k in range(1, 17, 2)]
@@ -98,12 +97,10 @@ MIRRORED = [(f"m{k:02d}", f"m{k + 1:02d}") for k in range(1, 17, 2)]
 # fmt: off
 REFUSED = {
     # Signs, joints and names
-    "sign of joint 1": ("rigid 1", {"signs": (-1.0, 1.0)}, "joint 1 counts the other way"),
     "signs of both": ("rigid 2", {"signs": (-1.0, -1.0)}, "joint 1 and joint 2 count the other"),
     "sign of joint 2": ("rigid 2", {"signs": (1.0, -1.0)}, "joint 2 counts the other way"),
     "joints swapped": ("rig 2", {"swap_joints": True}, "joints 1 and 2 are swapped"),
     "one of two joints": ("rig 2", {"changes": one_joint}, "moves in two directions"),
-    "markers of a row": ("rigid 1", named(("m05", "m06")), "m05 and m06 are swapped"),
     "markers of two rows": ("rigid 1", named(("m02", "m14")), "m02 and m14 are swapped"),
     "rows": ("rigid 1", named(*ROWS), "rows are named in the order"),
     "mirrored corners": ("rigid 1", named(*MIRRORED), "corners are named in the order"),
@@ -112,7 +109,6 @@ REFUSED = {
     "origin below": ("rigid 1", origin(0, 0, -0.42), "m too low"),
     "origin aside": ("rigid 1", origin(0.02, -0.03, 0), "m aside"),
     "y-up as z-up": ("rigid 1", {"wrong": {"up": "z"}}, "is y-up"),
-    "z-up as y-up": ("rigid 1", {"files_up": "z", "wrong": {"up": "y"}}, "is z-up"),
     "yaw of 90 deg": ("rigid 1", {"wrong": {"yaw_deg": 90.0}}, "turned by 90.0 deg"),
     "left-handed": ("rig 1", {"wrong": {"mirror": "x"}}, "left-handed"),
     "base on a stand": ("rig 1", {"base": "stand", "align": "base"}, "fixed stand"),
@@ -122,12 +118,10 @@ REFUSED = {
     ),
     # Lengths and units
     "markers in mm": ("rig 1", {"scale": 1e3}, "in mm"),
-    "markers in inches": ("rig 1", {"scale": 39.37, "align": "rest"}, "in inches"),
     "scale of 1.1": ("rigid 1", {"scale": 1.1, "align": "rest"}, "times those of the link"),
     "length 5 cm off": ("rig 1", conditions(link_length_m=1.0), "rows of markers"),
     "angle in deg": ("rig 1", columns(angle_1_rad=None), "in deg"),
     "angles in counts": ("rig 1", columns(goal_1_rad=COUNTS, angle_1_rad=COUNTS), "counts"),
-    "angles in turns": ("rig 1", columns(goal_1_rad=TURNS, angle_1_rad=TURNS), "in turns"),
     "converted twice": ("rig 1", columns(goal_1_rad=TWICE, angle_1_rad=TWICE), "twice"),
     "current in mA": ("rig 1", columns(current_1_a=None), "mA"),
     "time in ms": ("rig 1", columns(time_s=None), "another unit"),
@@ -140,9 +134,7 @@ REFUSED = {
     "rest too long": ("rig 1", conditions(rest_samples=150), "within the 150 rest rows"),
     # Clocks
     "gap in the servo's log": ("rigid 1", {"gap_s": (4.0, 0.2)}, "has no samples for"),
-    "long gap": ("rigid 1", {"gap_s": (4.0, 2.0)}, "has no samples for"),
     "60 Hz for 120": ("rig 1", {"rate_hz": 60.0}, "by 0.5"),
-    "125 Hz for 120": ("rig 1", {"rate_hz": 125.0}, "1.04"),
 }
 WARNED = {
     "origin 15 mm above": ("rigid 1", origin(0, 0, 0.015), "m too high"),
@@ -192,14 +184,15 @@ def test_a_doubtful_import_is_warned_of_with_its_cause(name, trials, tmp_path):
     assert any(level == "warning" and words in text for level, _, text in findings), findings
 
 
-@pytest.mark.parametrize("trial", ["rig 1", "rig 2"])
-@pytest.mark.parametrize("align", ["none", "base", "rest"])
+@pytest.mark.parametrize(
+    ("trial", "align"), [("rig 1", "base"), ("rig 2", "none"), ("rig 2", "rest")]
+)
 def test_base_markers_on_their_plate_are_right(trial, align, trials, tmp_path):
     findings, refusal = inspected(trials[trial], tmp_path, base="plate", align=align)
     assert not refusal and {cause for _, cause, _ in findings} <= {"lean"}, findings
 
 
-@pytest.mark.parametrize("first_s", [1.1, 1.4, 2.4])
+@pytest.mark.parametrize("first_s", [1.1, 2.4])
 def test_a_recording_without_its_rest_is_not_blamed_on_frame_rate_or_zero(
     first_s, trials, tmp_path
 ):
@@ -215,8 +208,9 @@ RIGHT = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fields", RIGHT)
-@pytest.mark.parametrize("trial", ["rigid 1", "rigid 2"])
+@pytest.mark.parametrize(
+    ("trial", "fields"), zip(["rigid 2", "rigid 1", "rigid 2"], RIGHT, strict=True)
+)
 def test_right_imports_pass_and_their_clock_is_right(trial, fields, trials, tmp_path, capsys):
     take = WrittenTake(**fields)
     arguments = take.write(trials[trial], tmp_path, 4)
