@@ -135,18 +135,6 @@ def test_servo_logs_of_other_takes_are_recognised_by_the_bend(shown_kg, causes):
     assert [f.cause for f in shared(*takes, causes=("servo log", "payload"))] == causes
 
 
-def test_the_load_of_one_joint_is_compared_where_both_move_alike():
-    """The second joint carries 1.4 times the load, and moves a little more in one trial."""
-    trials = []
-    for number, more in ((1, 1.001), (2, 0.999)):
-        one = swung(1.0, number, dof=2)
-        other = swung(1.0, number + 10, shown_kg=1.7).columns
-        second = {f"{n}_2_{unit}": other[f"{n}_1_{unit}"] for n, unit in SIGNALS}
-        second["angle_2_rad"] = more * one.columns["angle_1_rad"]
-        trials.append(changed(one, **second))
-    assert shared(*trials, causes=("payload",)) == []
-
-
 def in_another_unit(factor):
     """Trials of 0, 1 and 2 kg whose payloads are stated in another unit."""
     return [stated(swung(kg), payload_kg=factor * kg) for kg in (0.0, 1.0, 2.0)]
