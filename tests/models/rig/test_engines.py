@@ -99,16 +99,6 @@ def test_gravity_is_a_direction(parameters):
     assert upright.servos[0].current_a < 0 < hanging.servos[0].current_a
 
 
-def test_drag_at_one_radian_per_second_is_its_torque(parameters):
-    rig = build_rig(parameters.hide({"aerodynamic_drag": 5.0 - 0.02}), 1, 0.0)
-    # Move the pieces as a rigid rotation would, then update the drag.
-    centres = rig.data.xipos[rig.pieces].copy()
-    rig.data.xipos[rig.pieces, 0] += centres[:, 2] * rig.step_s
-    rig._update_drag()
-    torque = np.sum(rig.data.xfrc_applied[rig.pieces, 0] * centres[:, 2])
-    assert torque == pytest.approx(-5.0, rel=1e-9)
-
-
 def test_a_symmetric_link_moves_symmetrically(numbers):
     left, right = (build_rig(numbers.changed(**EVEN), 1, 1.5) for _ in range(2))
     for k in range(60):

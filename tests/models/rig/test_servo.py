@@ -1,7 +1,5 @@
 """The servo with each of its forms: friction, goals, feed-forward, and what its registers show."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -73,20 +71,6 @@ def test_dead_time_delays_the_goal_to_the_nearest_step(name, dead_s):
     assert servo.current_a > 0.0
 
 
-def test_a_rate_from_the_encoder_has_its_error(parameters):
-    """Reading an even ramp, a servo whose rate has the error turns its rotor less evenly."""
-    uneven = {}
-    for sensor in ("motor", "encoder"):
-        p = with_structure(parameters, rate_sensor=sensor).hide({"encoder_ripple": 0.004})
-        servo, rates = RigServo(p, STEP_S), []
-        for k in range(2500):
-            servo.send(0.5 * k * STEP_S, k * STEP_S)
-            servo.step(k * STEP_S, servo.rotor_rad, servo.rotor_rad_s)
-            rates.append(servo.rotor_rad_s)
-        uneven[sensor] = np.std(rates[1000:])
-    assert uneven["encoder"] > 1.1 * uneven["motor"]
-
-
 # ---- friction ------------------------------------------------------------------------------------
 
 
@@ -131,24 +115,6 @@ def test_a_profile_stays_within_its_velocity_and_acceleration(seed):
     rates = np.diff(way) / STEP_S
     assert np.abs(rates).max() <= velocity * (1 + 1e-9)
     assert np.abs(np.diff(rates)).max() / STEP_S <= acceleration * (1 + 1e-6)
-
-
-@pytest.mark.parametrize("way_rad", [1.0, -0.02])
-def test_a_profile_from_rest_takes_the_time_of_the_trapezoid(way_rad):
-    velocity, acceleration = 1.5, 10.0
-    goal = ProfiledGoal(STEP_S, velocity, acceleration)
-    goal.take(way_rad)
-    way = np.array([goal.advance() for _ in range(2000)])
-    reached_s = STEP_S * (1 + np.flatnonzero(np.abs(way - way_rad) > 1e-6).max(initial=-1))
-    size = abs(way_rad)
-    if size > velocity**2 / acceleration:
-        expected_s = size / velocity + velocity / acceleration
-    else:
-        expected_s = 2.0 * math.sqrt(size / acceleration)
-    assert reached_s == pytest.approx(expected_s, abs=4 * STEP_S)
-    # A step is the coarseness of an overshoot: an eighth of what one step of acceleration moves.
-    assert np.abs(way).max() <= size + acceleration * STEP_S**2 / 8
-    assert way[-1] == pytest.approx(way_rad, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["default", "drive", "profile"])

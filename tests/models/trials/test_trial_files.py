@@ -485,7 +485,7 @@ def test_units_are_powers_of_base_units(unit, exponents):
 def test_a_signal_in_another_unit_is_refused(name, signal, words):
     with pytest.raises(InputError) as refused:
         check_signal_units(Path("car.toml"), {name: SignalRole(*signal)})
-    assert f"car.toml: signal {name} is given in {signal[0]!r}" in str(refused.value)
+    assert f"car.toml: signal {name} is in {signal[0]!r}" in str(refused.value)
     assert words in str(refused.value)
 
 

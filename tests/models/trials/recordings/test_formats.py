@@ -275,12 +275,10 @@ def test_a_plant_whose_signal_is_in_another_unit_than_its_quantity_is_refused(
 ):
     """In millimetres the numbers would be taken as metres, and every mass come out too small."""
     assert import_press([0.0] * 5, [0.0] * 5, PLANT.replace('unit = "m",', 'unit = "mm",')) == 2
-    assert (
-        "signal ram is given in 'mm', its quantity position_1_m in 'm'" in capsys.readouterr().err
-    )
+    assert "signal ram is in 'mm', its quantity position_1_m in 'm'" in capsys.readouterr().err
     assert not (tmp_path / "log.csv").exists()
     (tmp_path / "plant.toml").write_text(PLANT.replace('unit = "kg",', 'unit = "N",'))
-    with pytest.raises(InputError, match=r"moved is given in 'N', parameter mass_kg in 'k"):
+    with pytest.raises(InputError, match=r"moved is in 'N', parameter mass_kg in 'k"):
         read_plant(tmp_path / "plant.toml")
 
 

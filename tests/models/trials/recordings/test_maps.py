@@ -136,7 +136,7 @@ def test_two_takes_of_one_name_are_refused(tmp_path, other):
 
 def test_a_take_that_is_named_twice_and_a_folder_without_takes_are_refused(tmp_path):
     (tmp_path / "run.csv").write_text("x")
-    with pytest.raises(InputError, match="is given twice; name each recording once"):
+    with pytest.raises(InputError, match="name each recording once"):
         find_takes([tmp_path, tmp_path / "run.csv"], "table", RecordingMap())
     with pytest.raises(InputError, match="holds no take"):
         find_takes([tmp_path], "c3d", RecordingMap())
