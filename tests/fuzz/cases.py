@@ -194,7 +194,8 @@ def verdicts_on(reader, inputs, scratch, *, guarded=True):
 def fuzz(reader, scratch, seconds, inputs, first=0):
     """Tally of a reader after a time or a number of inputs, whichever ends first."""
     tally, end_s, at = Tally(), time.monotonic() + seconds, first
-    with contextlib.redirect_stdout(io.StringIO()):  # it loads the libraries before the fork
+    quiet = io.StringIO()  # reading the valid files loads the libraries before the fork
+    with contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
         reader.read(write_files(scratch / "valid", reader.files))
     while at < first + inputs and time.monotonic() < end_s and len(tally.failures) < 20:
         seeds = range(at, min(at + BATCH, first + inputs))

@@ -190,14 +190,15 @@ def test_a_trial_of_another_recording_stays(capitals, tmp_path, importing, recor
     for path in (tmp_path / "out").glob("take.*" if capitals else "none"):
         path.rename(path.with_suffix(path.suffix.upper()))
     before = contents(tmp_path / "out")
-    record(tmp_path / "takes" / "take.csv", blank=1)
-    record(tmp_path / "takes" / "other.csv", blank=2)
-    code, err = importing(tmp_path / "takes")
+    take = record(tmp_path / "takes" / "take.csv", blank=1)
+    code, err = importing(take)
     assert code == 2
     assert f"take.{'CSV' if capitals else 'csv'}: is a trial of another recording" in err
-    after = contents(tmp_path / "out")  # the other take is imported
+    record(tmp_path / "takes" / "other.csv", blank=2)
+    assert importing(tmp_path / "takes")[0] == 2  # the other take is imported
+    after = contents(tmp_path / "out")
     assert "other.csv" in after and {name: after[name] for name in before} == before
-    assert importing(tmp_path / "takes" / "take.csv", options=["--name", "second"])[0] == 0
+    assert importing(take, options=["--name", "second"])[0] == 0
 
 
 @pytest.mark.parametrize("name", ["take.csv", "take.toml"])
