@@ -136,7 +136,7 @@ def read_trial_directories(
     If two directories hold a trial of the same name, the directory's name is put in front.
     """
     if len({d.resolve() for d in directories}) < len(directories):
-        raise InputError(directories[-1], "is given twice", "name each directory once")
+        raise InputError(directories[-1], "is named twice", "name each directory once")
     trials = [(d, trial) for d in directories for trial in read_trials(d, signals)]
     counts = Counter(trial.name for _, trial in trials)
     named = [replace(t, name=f"{d.name}_{t.name}") if counts[t.name] > 1 else t for d, t in trials]

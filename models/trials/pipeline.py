@@ -30,7 +30,7 @@ from models.trials.checks.clocks import (
     judge_clock,
     judge_common_clock,
     judge_frame_rate,
-    judge_given_offset,
+    judge_stated_offset,
 )
 from models.trials.checks.markers import judge_markers, without_zeros
 from models.trials.checks.page import clock_text, write_verdict
@@ -224,7 +224,7 @@ class Inspection:
                 if link:
                     meta = self.mapping.meta(0)
                     estimate = synchronise(servo, mocap, meta, near_s=clock.offset_s)
-                    verdict.findings += judge_given_offset(clock.offset_s, estimate, apart_s)
+                    verdict.findings += judge_stated_offset(clock.offset_s, estimate, apart_s)
         else:
             try:
                 clock = synchronise(servo, mocap, self.mapping.meta(0))

@@ -107,7 +107,7 @@ def other_unit(
     wanted = repr(expected) if " " not in expected else expected
     return InputError(
         where,
-        f"signal {name} is given in {signal.unit!r}, {contrast}",
+        f"signal {name} is in {signal.unit!r}, {contrast}",
         f"give {wanted} here, the map of the import converts the recording",
     )
 

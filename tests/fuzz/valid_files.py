@@ -9,6 +9,27 @@ import msgspec
 import numpy as np
 import scipy.io
 import tomli_w
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from firmware_py.config import RobotConfig
+from firmware_py.core.signals import PERIOD_S, tick_dtype
+from firmware_py.goals.goal_channel import GoalMessage, encode_goal
+from firmware_py.goals.goal_map import GoalMap, PayloadMap
+from firmware_py.inference.manifest import MANIFEST
+from firmware_py.link.link_description import STUDY_LINK, link_toml
+from firmware_py.link.link_facts import STUDY_FACTS
+from firmware_py.log.sinks import TickEncoder
+from models.commands.sign import SIGNATURE, sign_bundle
+from tests.firmware_py.goals.small_plan import small_plan
+from tests.models.trials.recordings.written_takes import (
+    ROBOT,
+    motive_export,
+    write_c3d,
+    write_log,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 ROWS, REST, STEP_S = 60, 30, 0.017
@@ -108,45 +129,21 @@ def matlab_of(columns, form):
 
 def motive():
     """Export of Motive with measured markers."""
-    head = [
-        ["Format Version", "1.23", "Take Name", "T", "Length Units", "Meters", "Coordinate Space",
-         "Global"],
-        [], ["", "Type", *["Marker"] * 48], ["", "Name", *[m for m in MARKERS for _ in "xyz"]],
-        ["", "ID", *['"1"'] * 48], ["", "", *["Position"] * 48],
-        ["Frame", "Time (Seconds)", *["X", "Y", "Z"] * 16],
-    ]  # fmt: skip
-    lines = [",".join(row) for row in head]
-    for k, time_s in enumerate(TIME_S):
-        cells = [f"{v:.4f}" for p in MARKERS.values() for v in p[k]]
-        lines.append(",".join([str(k), f"{time_s:.6f}", *cells]))
-    return "\n".join(lines).encode()
+    places_m = np.stack([*MARKERS.values()], axis=1)
+    return motive_export(TIME_S, list(MARKERS), places_m).encode()
 
 
 def c3d():
     """Points and one analog channel."""
-    import ezc3d
-
-    file = ezc3d.c3d()
-    points = np.ones((4, 16, ROWS))
-    points[:3] = 1000 * np.moveaxis(np.array([*MARKERS.values()]), -1, 0)
-    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-    file["parameters"]["POINT"]["RATE"]["value"] = [1 / STEP_S]
-    file["parameters"]["POINT"]["LABELS"]["value"] = list(MARKERS)
-    file["data"]["points"] = points
-    file["parameters"]["ANALOG"]["RATE"]["value"] = [2 / STEP_S]
-    file["parameters"]["ANALOG"]["LABELS"]["value"] = ["pos"]
-    file["parameters"]["ANALOG"]["UNITS"]["value"] = ["deg"]
-    file["data"]["analogs"] = np.repeat(np.degrees(WAVE), 2)[None, None]
+    places_m = np.stack([*MARKERS.values()], axis=1)
+    pos = {"pos": ("deg", np.repeat(np.degrees(WAVE), 2))}
     with TemporaryDirectory() as folder:
-        file.write(f"{folder}/a.c3d")
-        return Path(folder, "a.c3d").read_bytes()
+        file = Path(folder, "a.c3d")
+        return write_c3d(file, places_m, rate_hz=1 / STEP_S, analogs=pos).read_bytes()
 
 
 def bag():
     """ROS 2 bag with joint states and goals."""
-    from rosbags.rosbag2 import Writer
-    from rosbags.typesys import Stores, get_typestore
-
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = store.types
     with TemporaryDirectory() as folder:
@@ -166,31 +163,19 @@ def bag():
 
 def log():
     """Log of `dropstitch run`: bytes, metadata, ticks."""
-    from firmware_py.config import RobotConfig
-    from firmware_py.core.signals import PERIOD_S, tick_dtype
-    from firmware_py.log.sinks import McapSink, TickEncoder
-
-    robot = {"bundle": "b", "bus": {"port": "p"}, "servos": [{"id": 1, "model": "XM430-W350"}]}
-    config = msgspec.json.encode(msgspec.convert(robot, RobotConfig)).decode()
-    metadata = {"dof": "1", "period_s": repr(PERIOD_S), "config": config, "payload_kg": "0.5"}
     records = np.zeros(ROWS, tick_dtype(1))
     records["tick"], records["time_s"] = np.arange(ROWS), PERIOD_S * np.arange(ROWS)
     records["angle_1_rad"] = records["goal_1_rad"] = WAVE
     encode = TickEncoder(1, 10**18)
-    messages = [encode(record.tobytes()) for record in records]
+    config = msgspec.json.encode(msgspec.convert(ROBOT, RobotConfig)).decode()
+    metadata = {"dof": "1", "period_s": repr(PERIOD_S), "config": config, "payload_kg": "0.5"}
     with TemporaryDirectory() as folder:
-        sink = McapSink(f"{folder}/a.mcap", 1, metadata)
-        for time_ns, message in messages:
-            sink.write(time_ns, message)
-        sink.finish()
-        return Path(folder, "a.mcap").read_bytes(), metadata, messages
+        file = write_log(Path(folder, "a.mcap"), records, 1, payload_kg="0.5")
+        return file.read_bytes(), metadata, [encode(r.tobytes())[1] for r in records]
 
 
 def plan():
     """Plan of the tip for two payloads."""
-    from firmware_py.inference.manifest import MANIFEST
-    from tests.firmware_py.goals.small_plan import small_plan
-
     with TemporaryDirectory() as folder:
         Path(folder, MANIFEST).write_bytes(b"{}")
         return msgspec.json.encode(small_plan(Path(folder)))
@@ -198,16 +183,11 @@ def plan():
 
 def link():
     """Description of the study's link."""
-    from firmware_py.link.link_description import STUDY_LINK, link_toml
-
     return link_toml(STUDY_LINK, 0.4, 0.1).encode()
 
 
 def goal_map():
     """Map of a rigid link of 1 m at three places, for two payloads."""
-    from firmware_py.goals.goal_map import GoalMap, PayloadMap
-    from firmware_py.link.link_facts import STUDY_FACTS
-
     places_m = (-0.5, 0.0, 0.5)
     payloads = tuple(
         PayloadMap(
@@ -222,25 +202,49 @@ def goal_map():
 
 def goal_message():
     """Message of a program that sends goals."""
-    from firmware_py.goals.goal_channel import GoalMessage, encode_goal
-
     return encode_goal(GoalMessage(3, (0.1,)))
 
 
-def status_message():
-    """Message of the robot to such a program."""
-    from firmware_py.goals.goal_channel import StatusMessage
+MOTION = (
+    b"schema = 1\nduration_s = 10.0\nharmonics = [1, 2, 5]\n[[joints]]\n"
+    b"sine_rad = [0.2, -0.1, 0.02]\ncosine_rad = [0.1, 0.0, 0.01]\n"
+)
+PATH = b"time_s,x_m,y_m\n0,0,0\n0.5,0.1,0\n1.0,0.1,0.1\n1.5,0,0\n"
+CAMPAIGN = b"""kind = "sil"
+draws = 3
+[fixed]
+bundle = "%s"
+seconds = 10.0
+[grid]
+payload_known = [false, true]
+seed = {first = 0, count = 2}
+[draw]
+payload_kg = {uniform = [0.0, 2.0]}
+[draw.faults]
+lost = {log_uniform = [0.001, 0.05]}
+""" % Path(__file__).as_posix().encode()
 
-    return example_of(StatusMessage)
+
+def key_file():
+    """Private key, not encrypted."""
+    return Ed25519PrivateKey.from_private_bytes(bytes(32)).private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+
+
+def plan_run():
+    """Plan, and a trial of three runs of it."""
+    run = trial()
+    goals = json.loads(plan())["payloads"][0]["goals_rad"][0] * 3
+    head = run["run.csv"].split(b"\n", 1)[0].decode()
+    width = len(head.split(",")) - 3
+    rows = [",".join([f"{0.017 * k:.6g}", *[f"{g:.6g}"] * 2, *["0.1"] * width])
+            for k, g in enumerate(goals)]  # fmt: skip
+    return run | {"plan.json": plan(), "run.csv": "\n".join([head, *rows]).encode()}
 
 
 def signature():
     """Public key, manifest, and its signature."""
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-
-    from firmware_py.inference.manifest import MANIFEST
-    from models.commands.sign import SIGNATURE, sign_bundle
-
     with TemporaryDirectory() as folder:
         manifest = Path(folder, MANIFEST)
         manifest.write_bytes(b"{}")

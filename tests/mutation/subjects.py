@@ -62,7 +62,7 @@ SUBJECTS = (
     Subject(
         "imports",
         ("models/trials/checks/*.py", "!models/trials/checks/page.py"),
-        ("tests/models/trials/checks",),
+        ("tests/models/trials/checks", "tests/models/trials/recordings/test_wrong_imports.py"),
     ),
     Subject(
         "plant",

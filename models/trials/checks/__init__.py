@@ -1,1 +1,1 @@
-"""Checks of trials and imports: what can be wrong, how it is found, and what to do."""
+"""Checks of trials and imports: what can be wrong, what shows it, and what to do."""

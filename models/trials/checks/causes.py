@@ -235,7 +235,7 @@ FRAME_RATE = Cause("rate", REFUSES,
     "correct the frame rate, as with scale = {factor:.4g} for time_s in MAP.toml, or export the "
     "motion capture again")
 CLOCK_OPTION = Cause("clock", (0.002, math.inf),  # s, beyond three half widths
-    "the offset given by hand, {option_s:.4f} s, differs by {differs_s:ms} from that of the {by}, "
+    "the offset set by hand, {option_s:.4f} s, differs by {differs_s:ms} from that of the {by}, "
     "{estimate_s:.4f} s ± {error_s:ms2}",
     "leave out --offset (offset_s in a table of takes), or correct it")
 COMMON_CLOCK = Cause("clock", (0.01, 0.05),  # s between markers and angles of one file

@@ -26,7 +26,7 @@ def judge_clock(clock: Synchronisation) -> list[ImportFinding]:
     return findings
 
 
-def judge_given_offset(
+def judge_stated_offset(
     option_s: float, estimate: Synchronisation | None, apart_s: float
 ) -> list[ImportFinding]:
     """Finding if the user's offset differs from the estimate of signal or motion, if there is one.

@@ -85,7 +85,7 @@ def clock_text(clock: Synchronisation) -> str:
     """Offset of the servo's clock with its error, in words."""
     text = f"servo clock {clock.offset_s:+.4f} s ± {DURATION.text(clock.error_s, 2)}"
     if clock.by != "motion":
-        by_hand = f"servo clock {clock.offset_s:+.4f} s, given by hand"
+        by_hand = f"servo clock {clock.offset_s:+.4f} s, set by hand"
         return by_hand if clock.by == "option" else text + ", by the sync signal"
     text += f", correlation {clock.correlation:.4f}"
     if clock.lag_s:

@@ -308,7 +308,7 @@ def _refuse_one_name(files: Sequence[Path]) -> None:
     for file in files:
         other = known.setdefault(file.stem.casefold(), file)
         if other is not file and other.resolve() == file.resolve():
-            raise InputError(file, "is given twice", "name each recording once")
+            raise InputError(file, "is named twice", "name each recording once")
         if other is not file:
             what = f"would become a trial of the same name as {other}"
             raise InputError(file, what, "rename one of them, or import it alone with --name")

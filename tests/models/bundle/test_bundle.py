@@ -1,21 +1,25 @@
 """Bundle on disk: directory, parity gate, contents, reproducibility."""
 
 import json
+import shutil
 
+import msgspec
 import numpy as np
 import onnx
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import read_manifest
+from firmware_py.inference.manifest import read_bundle_files, write_manifest
 from models.bundle.files import (
     GATE_M,
     ParityError,
-    check_bundle_directory,
     check_parity,
     replaced_bundle,
     write_bundle,
 )
+from models.bundle.plant import compare_with_bundle
 from models.plant.plant import read_plant
 from models.predictor.onnx_graphs import to_onnx
 from models.study.document import read_study
@@ -67,34 +71,9 @@ def test_a_failure_leaves_everything_as_it_was(old_bundle):
     assert [p.name for p in old_bundle.parent.iterdir()] == ["bundle"]
 
 
-def test_two_writers_at_once_do_not_meet(tmp_path):
-    out = tmp_path / "new" / "bundle"
-    with replaced_bundle(out) as first:
-        write_files(first, {"plant.json": "first"})
-        write_new(out)
-        write_files(first, {"manifest.json": "first"})
-    assert files_of(out) == {"plant.json": "first", "manifest.json": "first"}
-    assert [p.name for p in out.parent.iterdir()] == ["bundle"]
-
-
-def test_the_working_directory_may_be_the_bundle(tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    write_new(tmp_path.joinpath("here").relative_to(tmp_path / "here"))
-    assert files_of(tmp_path / "here") == NEW
-
-
-def test_a_new_bundle_has_the_permissions_of_a_new_directory(tmp_path):
-    (tmp_path / "usual").mkdir()
-    write_new(tmp_path / "bundle")
-    assert (tmp_path / "bundle").stat().st_mode == (tmp_path / "usual").stat().st_mode
-
-
-@pytest.mark.parametrize("manifest", ['{"name": "an extension of a browser"}', "[]", "no JSON"])
+@pytest.mark.parametrize("manifest", ['{"name": "an extension of a browser"}', "no JSON"])
 def test_a_directory_of_something_else_is_refused_and_unchanged(tmp_path, manifest, toy_fallback):
     write_files(tmp_path, {"manifest.json": manifest})
-    with pytest.raises(InputError, match="is not a bundle"):
-        check_bundle_directory(tmp_path)
     with pytest.raises(InputError, match="is not a bundle"):
         write_bundle(tmp_path, read_plant(), toy_fallback)
     assert files_of(tmp_path) == {"manifest.json": manifest}
@@ -113,7 +92,9 @@ def test_gate_refuses_a_graph_that_is_off_by_a_nanometre(tmp_path):
         check_parity(path, predictor, features)
 
 
-def test_bundle_holds_what_the_contract_lists(toy_bundle, toy_study):
+def test_bundle_holds_what_the_contract_lists_and_is_reproducible(
+    toy_bundle, toy_fallback, toy_study, tmp_path
+):
     manifest = read_manifest(toy_bundle)
     assert set(manifest.files) == {
         "predictor.onnx", "lagged.onnx", "plant.json", "study.json", "golden.npz", "MODEL_CARD.md",
@@ -129,6 +110,9 @@ def test_bundle_holds_what_the_contract_lists(toy_bundle, toy_study):
     assert study == toy_study
     assert manifest.degree == study.chosen_degree
     assert (toy_bundle / "study.json").stat().st_size < 600_000
+    write_bundle(tmp_path / "again", read_plant(), toy_fallback, study=toy_study)
+    for file in toy_bundle.iterdir():
+        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes(), file.name
     facts = onnx.load(toy_bundle / "predictor.onnx").metadata_props
     assert {"features", "outputs", "in_range", "half_width_m"} <= {prop.key for prop in facts}
 
@@ -147,17 +131,46 @@ def test_manifest_coefficients_evaluate_to_the_prediction(toy_bundle, toy_fallba
     np.testing.assert_allclose(total, toy_fallback.predictor.predict(rows), atol=1e-6)
 
 
-def test_the_same_study_writes_the_same_bytes(toy_bundle, toy_fallback, toy_study, tmp_path):
-    write_bundle(tmp_path / "again", read_plant(), toy_fallback, study=toy_study)
-    for file in toy_bundle.iterdir():
-        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes(), file.name
-
-
 def test_the_model_card_has_a_complete_row_for_everything(toy_bundle, toy_study):
     card = (toy_bundle / "MODEL_CARD.md").read_text(encoding="utf-8")
     tables = [block.splitlines() for block in card.split("\n\n") if block.startswith("|")]
-    assert [len(table) for table in tables] == [5, 5, 9, 8], "inputs, data, accuracy, DI"
-    for table in tables:
-        assert len({line.count(" | ") for line in table}) == 1
+    assert all(len({line.count(" | ") for line in table}) == 1 for table in tables)
     assert all(finding.text in card for finding in toy_study.findings)
     assert "None" not in card and "{" not in card
+
+
+# --- plants for a bundle --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def directory(bare_bundle, tmp_path):
+    """Bundle with the nominal plant."""
+    directory = tmp_path / "bundle"
+    shutil.copytree(bare_bundle, directory)
+    plant = read_plant()
+    plant.write(directory / "plant.json")
+    manifest = read_bundle_files(bare_bundle).manifest
+    write_manifest(directory, msgspec.structs.replace(manifest, plant_sha256=plant.sha256()))
+    return directory
+
+
+def test_another_plant_of_the_same_link_is_warned_of_once(directory, tmp_path, capsys):
+    files, path = read_bundle_files(directory), tmp_path / "better.json"
+    compare_with_bundle(read_plant(), path, files, "this map")
+    assert capsys.readouterr().err == ""
+    compare_with_bundle(read_plant().with_values({"link_mass_kg": 1.0}), path, files, "this plan")
+    warning = capsys.readouterr().err
+    assert warning.startswith("warning: ") and str(path) in warning and str(directory) in warning
+    assert warning.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["goalmap"], ["plan", "line"]])
+def test_a_plant_of_another_link_is_refused(directory, tmp_path, capsys, words):
+    short, out = tmp_path / "short.json", tmp_path / "out.json"
+    read_plant().with_values({"link_length_m": 0.6}).write(short)
+    words = [*words, "--plant", short, "--bundle", directory, "--out", out]
+    assert main([str(word) for word in words]) == 2
+    refusal = capsys.readouterr().err
+    assert str(short) in refusal and str(directory / "plant.json") in refusal
+    assert "length_m 0.6" in refusal and "0.95" in refusal
+    assert not out.exists()

@@ -90,7 +90,6 @@ def test_trials_that_do_not_fit_are_refused(toy_trials, tmp_path, capsys, dof, c
     ("out", "reason"),
     [
         ("full", "exists and is not a bundle"),
-        ("full/notes.txt", "is a file"),
         ("full/notes.txt/bundle", "lies under the file"),
     ],
 )

@@ -8,7 +8,6 @@ from sklearn.metrics import r2_score
 
 from firmware_py.core.errors import InputError
 from models.plant.simulation.runner import CompiledModel
-from models.plant.step_model import names
 from models.predictor.fallback import (
     LAG_TICKS,
     block_folds,
@@ -17,7 +16,6 @@ from models.predictor.fallback import (
     fit_lagged,
     lagged_features,
 )
-from models.predictor.observed_trials import observe
 from models.trials.deformation import deformation_index
 from models.trials.trial import TrialSet
 
@@ -50,15 +48,6 @@ def test_rows_without_any_marker_are_not_used(toy_trials, toy_observer, toy_fall
     samples = collect_samples(blind, CompiledModel(toy_observer(1)), toy_fallback.lagged)
     assert len(samples) == len(trial) - trial.meta.rest_samples - len(hidden)
     assert np.isfinite(samples.features("true")).all()
-
-
-def test_observer_over_a_trial_is_the_step_model_step_by_step(toy_trials, toy_observer):
-    trial, model = toy_trials(2)[0], toy_observer(2)
-    u = np.column_stack([trial.columns[name] for name in names(model.inputs)])
-    stepped = model.simulate(u, trial.step_s)[1:]
-    [signals] = observe(CompiledModel(model), [trial])
-    for k, name in enumerate(names(model.outputs)):
-        np.testing.assert_allclose(signals[name], stepped[:, k], rtol=0, atol=1e-12)
 
 
 def test_blocks_leave_out_every_row_once_and_never_train_within_the_gap():

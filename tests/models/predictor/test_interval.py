@@ -73,15 +73,6 @@ def test_the_interval_covers_a_wrong_plant_that_the_innovation_does_not_show():
     assert coverage(calibrated, rows.inputs, error_m).min() >= 0.95
 
 
-def test_a_violent_motion_widens_the_interval_only_so_far():
-    rows = made_up_rows()
-    interval = interval_of(rows, (rows.inputs, 5.0 * observer_error_m(rows)))
-    point = np.repeat(rows.inputs[:1], 2, axis=0)
-    point[:, rows.names.index("innovation_1_a")] = 0.1, 1.0
-    first, second = interval.half_width(point)
-    assert first == pytest.approx(second)
-
-
 def test_the_interval_covers_each_trial_with_a_wrong_plant_on_each_axis():
     rows = made_up_rows()
     wrong_m = observer_error_m(rows)
@@ -122,9 +113,9 @@ def test_the_bound_is_a_multiple_of_the_largest_innovation_of_rows_that_move():
     moving = np.abs(column(rows, "joint_rate_1_rad_s")) > 0.05
     innovation_a = column(rows, "innovation_1_a")
     innovation_a[~moving] = 1.0  # a link that swings freely sets no bound
-    bound_a = guarded(rows).innovation_a
-    assert bound_a == pytest.approx(INNOVATION_FACTOR * innovation_a[moving].max())
-    assert guarded(rows.take(~moving)).innovation_a > 1e100
+    assert guarded(rows).innovation_a == pytest.approx(
+        INNOVATION_FACTOR * innovation_a[moving].max()
+    )
 
 
 @pytest.mark.parametrize("dof", [1, 2])

@@ -5,38 +5,18 @@ import json
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from sklearn.model_selection import KFold
-from sklearn.preprocessing import PolynomialFeatures
 
 from firmware_py.core.errors import InputError
-from models.predictor.onnx_graphs import evaluate, predictor_function, to_onnx
+from models.predictor.onnx_graphs import predictor_function, to_onnx
 from models.predictor.polynomials import (
     GuardedPredictor,
-    Polynomial,
-    polynomial_pipeline,
-    predict,
 )
 from tests.models.predictor.cases import (
     assert_graphs_agree,
     fitted_predictor,
-    graph_outputs,
     saved_graph,
 )
-
-
-@given(st.integers(1, 5), st.integers(1, 6), st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
-def test_power_form_equals_the_monomials_and_scikit_learn(n, degree, seed):
-    rng = np.random.default_rng(seed)
-    features = rng.uniform(-2, 5, (1500, n))
-    pipeline = polynomial_pipeline(degree).fit(features, rng.standard_normal((1500, 2)))
-    polynomial, points = Polynomial.of(pipeline), features[:50]
-    expected = predict(pipeline, points)
-    np.testing.assert_allclose(polynomial(points), expected, atol=1e-10)
-    written = evaluate(lambda graph, source: polynomial.write(graph, source, "y"), points)
-    assert np.abs(written - expected).max() < 1e-10 * max(1.0, np.abs(expected).max())
 
 
 def truth(x):
@@ -66,16 +46,6 @@ def test_interval_covers_95_percent_of_fresh_data(law):
     assert 0.94 < np.mean(covered) < 0.965
 
 
-def test_leverage_is_that_of_the_quadratic_regression_and_grows_outside():
-    predictor, features = guarded()
-    z = features * predictor.leverage.scale + predictor.leverage.offset
-    phi = PolynomialFeatures(2).fit_transform(z)
-    hat = phi @ np.linalg.solve(phi.T @ phi, phi.T)
-    np.testing.assert_allclose(predictor.leverage(features)[:, 0], np.diag(hat), rtol=1e-4)
-    inside = predictor.half_width(features).max(axis=0)
-    assert np.all(predictor.half_width(3 * features[:20] / np.abs(features[:20]) * 0.5) > inside)
-
-
 def test_guard_clips_and_reports_the_range():
     """The DI of a link at rest is the smallest: rounding does not put it out of range."""
     predictor, features = guarded()
@@ -89,7 +59,7 @@ def test_guard_clips_and_reports_the_range():
     )
 
 
-@pytest.mark.parametrize(("n", "degree"), [(3, 1), (3, 2), (3, 5), (5, 3), (5, 4), (5, 6)])
+@pytest.mark.parametrize(("n", "degree"), [(3, 1), (3, 5), (5, 6)])
 def test_graphs_answer_what_scikit_learn_does(n, degree, tmp_path):
     predictor, features = fitted_predictor(n, degree)
     points = np.vstack([features[:40], 1.5 * features[:40]])  # half of them out of range
@@ -106,17 +76,6 @@ def test_graph_is_one_that_old_runtimes_load_and_describes_itself():
     assert len(graph.graph.node) < 25
     assert {prop.key: json.loads(prop.value) for prop in graph.metadata_props} == facts
     assert graph.SerializeToString() == again.SerializeToString()
-
-
-def test_a_nan_is_out_of_range_and_has_no_width(tmp_path):
-    predictor, features = fitted_predictor(5, 3)
-    path = saved_graph(predictor, features, tmp_path / "predictor.onnx")
-    points = np.repeat(0.5 * features[:1], 5, axis=0)
-    np.fill_diagonal(points, np.nan)
-    _, in_range, half_width_m = graph_outputs(path, points)
-    assert not in_range.any() and np.isnan(half_width_m).all()
-    imported = predictor_function(path)
-    assert all(float(imported(features=point)["in_range"]) == 0.0 for point in points)
 
 
 def test_casadi_differentiates_the_import(tmp_path):

@@ -1,21 +1,15 @@
 """Both engines against beam theory, symmetry and energy, and against each other."""
 
-import math
-
 import mujoco
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from firmware_py.core.errors import InputError
 from models.rig.parameters import read_rig
 from models.rig.protocol import build_rig, run_case
-from models.rig.rig import Load
-from models.rig.rod import CosseratRig
 from tests.models.rig.rigs import (
     ELASTIC,
     EVEN,
-    NO_MEMORY,
     STRENGTH,
     deflection_m,
     run,
@@ -105,16 +99,6 @@ def test_gravity_is_a_direction(parameters):
     assert upright.servos[0].current_a < 0 < hanging.servos[0].current_a
 
 
-def test_drag_at_one_radian_per_second_is_its_torque(parameters):
-    rig = build_rig(parameters.hide({"aerodynamic_drag": 5.0 - 0.02}), 1, 0.0)
-    # Move the pieces as a rigid rotation would, then update the drag.
-    centres = rig.data.xipos[rig.pieces].copy()
-    rig.data.xipos[rig.pieces, 0] += centres[:, 2] * rig.step_s
-    rig._update_drag()
-    torque = np.sum(rig.data.xfrc_applied[rig.pieces, 0] * centres[:, 2])
-    assert torque == pytest.approx(-5.0, rel=1e-9)
-
-
 def test_a_symmetric_link_moves_symmetrically(numbers):
     left, right = (build_rig(numbers.changed(**EVEN), 1, 1.5) for _ in range(2))
     for k in range(60):
@@ -126,73 +110,6 @@ def test_a_symmetric_link_moves_symmetrically(numbers):
     np.testing.assert_allclose(tip_m(left), tip_m(right) * [-1, 1, 1], atol=1e-9)
     assert abs(deflection_m(right)[0]) > 1e-3  # it did bend
     assert abs(tip_m(right)[1]) < 1e-9  # in its plane
-
-
-def test_hinges_change_the_link_but_hardly_the_sag(parameters):
-    """The discrete link converges to the beam: tips of 5 and 17 hinges agree within 5 %."""
-    plain = parameters.changed(
-        **NO_MEMORY, **{"stiffness.prebend_rad": 0.0, "stiffness.damping_s": 0.05}
-    )
-    coarse, fine = (
-        run(build_rig(with_structure(plain, hinges=n), 1, 1.0), 2.0, [0.3])[-1] for n in (5, 17)
-    )
-    assert coarse == pytest.approx(fine, rel=0.05)
-
-
-def first_mode_of_rod_hz(rod, payload_kg, sections):
-    """Free swing of an undamped rod on a stiff root, from upward crossings of the tip."""
-    stiff = {"stiffness.root_nm_rad": 2e5, "stiffness.wall_shear_n": 1e5,
-             "stiffness.damping_s": 0.0}  # fmt: skip
-    load = Load(payload_kg, 0.0, 0.0, np.zeros(3))
-    rig = CosseratRig(rod.changed(**ELASTIC | CLAMPED | stiff), 1, load, sections=sections)
-    height = rig.link.rod.position_collection[2] - 0.06
-    rig.link.rod.velocity_collection[0] = 0.05 * np.maximum(height / LENGTH, 0.0) ** 2
-    x = []
-    for _ in range(900):
-        rig.step()
-        x.append(tip_m(rig)[0])
-    x = np.array(x)
-    before = np.flatnonzero((x[:-1] <= 0.0) & (x[1:] > 0.0))
-    crossings_s = (before - x[before] / (x[before + 1] - x[before])) * rig.step_s
-    return 1.0 / np.mean(np.diff(crossings_s)), np.abs(x)
-
-
-def beam_mode_hz(tip_kg, payload_kg=0.0):
-    """Cantilever with a mass at its tip (Timoshenko, Vibration Problems in Engineering).
-
-    Rotary inertia of sections and tip, shear and root enter by Rayleigh's quotient.
-    """
-    mass_kg = tip_kg + payload_kg
-    ratio = mass_kg / 0.9
-    root = brentq(
-        lambda b: 1 + math.cos(b) * math.cosh(b)
-        + ratio * b * (math.cos(b) * math.sinh(b) - math.sin(b) * math.cosh(b)), 0.3, 1.9,
-    )  # fmt: skip
-    x = np.linspace(0.0, 1.0, 2001)
-    shape, slope = 0.5 * x**2 * (3.0 - x), 1.5 * (2.0 * x - x**2) / LENGTH
-    moving = 0.9 * np.mean(shape**2) + mass_kg
-    block, cube = 0.15**2 / 12.0, 0.08**2 / 6.0
-    turning = (
-        0.9 * block * np.mean(slope**2) + (tip_kg * block + payload_kg * cube) * slope[-1] ** 2
-    )
-    shear = 3.0 * BENDING / ((1e5 + 41300.0 * 0.15**2) * LENGTH**2)
-    patch = 3.0 * BENDING / (2e5 * LENGTH)
-    slender_hz = root**2 / (2 * math.pi * LENGTH**2) * math.sqrt(BENDING / (0.9 / LENGTH))
-    return slender_hz / math.sqrt((1.0 + turning / moving) * (1.0 + shear + patch))
-
-
-@pytest.mark.slow
-def test_first_mode_of_the_rod_follows_beam_theory_and_converges(rod):
-    coarse, used, fine = (first_mode_of_rod_hz(rod, 0.0, n)[0] for n in (4, 8, 16))
-    assert used == pytest.approx(beam_mode_hz(0.25), rel=0.003)
-    assert abs(used - fine) < 0.5 * abs(coarse - fine)
-
-
-def test_an_elastic_rod_swings_on_and_a_payload_slows_it(rod):
-    mode_hz, size_m = first_mode_of_rod_hz(rod, 0.5, 4)
-    assert mode_hz == pytest.approx(beam_mode_hz(0.25, 0.5), rel=0.03)
-    # The viscosity that calms the elements takes 1.5 % in this time.
-    assert size_m[-300:].max() == pytest.approx(size_m[:300].max(), rel=0.03)
 
 
 def swing(rig):

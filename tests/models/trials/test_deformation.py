@@ -1,4 +1,4 @@
-import warnings
+"""Deformation Index: zero for rigid motions, the mean change of the visible lengths otherwise."""
 
 import numpy as np
 import pytest
@@ -11,12 +11,7 @@ from firmware_py.link.marker_layout import square_corners_m
 from models.shared.kinematics import base_corners_m
 from models.trials.deformation import deformation_index, marker_lengths_m
 
-
-@pytest.fixture(autouse=True)
-def warnings_are_errors():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
+pytestmark = pytest.mark.filterwarnings("error")
 
 
 def occlude(trial, rows, *markers):
@@ -69,18 +64,10 @@ def test_the_index_is_equation_1_written_out(make_trial, swing_rad):
 def test_the_mean_runs_over_the_visible_lengths(make_trial, swing_rad):
     stretch = np.ones(len(swing_rad))
     stretch[3:] = 1.01
-    trial = make_trial(swing_rad, stretch=stretch)
-    rows = slice(20, 25)
-    occlude(trial, rows, 6, 11)  # two lengths each
-    assert np.isnan(marker_lengths_m(trial)[rows]).sum(axis=1).tolist() == [4] * 5
+    trial = occlude(make_trial(swing_rad, stretch=stretch), slice(20, 25), 6, 11)
+    assert np.isnan(marker_lengths_m(trial)[20:25]).sum(axis=1).tolist() == [4] * 5  # two each
     assert deformation_index(trial)[3:] == pytest.approx(0.01)
-    trial.columns["m16_x_m"][20] += 1.0
-    change = np.abs(marker_lengths_m(trial)[20, 15] / marker_lengths_m(trial)[0, 15] - 1)
-    assert deformation_index(trial)[20] == pytest.approx((11 * 0.01 + change) / 12)
-
-
-def test_a_row_without_any_marker_is_nan(make_trial, swing_rad):
-    trial = occlude(make_trial(swing_rad), slice(30, 31), *range(1, 17))
+    occlude(trial, slice(30, 31), *range(1, 17))
     assert np.flatnonzero(np.isnan(deformation_index(trial))).tolist() == [30]
 
 

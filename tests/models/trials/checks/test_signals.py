@@ -1,4 +1,4 @@
-"""Wrong units, doubled and stuck signals, and trials that do not go together."""
+"""Wrong units and conditions, doubled signals, and trials that do not go together."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
+from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from models.plant.plant import read_plant
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
-from models.trials.checks.payloads import judge_payload_unit, payload_unit_cause
-from models.trials.checks.trials import check_trial, check_trials, judge_doubled
+from models.trials.checks.payloads import (
+    judge_conditions,
+    judge_payload_unit,
+    payload_unit_cause,
+)
+from models.trials.checks.trials import check_trial, check_trials, judge_doubled, refuse_unusable
 from models.trials.files import write_trial
 from models.trials.trial import Trial, TrialMeta, TrialSet
 
@@ -130,18 +135,6 @@ def test_servo_logs_of_other_takes_are_recognised_by_the_bend(shown_kg, causes):
     assert [f.cause for f in shared(*takes, causes=("servo log", "payload"))] == causes
 
 
-def test_the_load_of_one_joint_is_compared_where_both_move_alike():
-    """The second joint carries 1.4 times the load, and moves a little more in one trial."""
-    trials = []
-    for number, more in ((1, 1.001), (2, 0.999)):
-        one = swung(1.0, number, dof=2)
-        other = swung(1.0, number + 10, shown_kg=1.7).columns
-        second = {f"{n}_2_{unit}": other[f"{n}_1_{unit}"] for n, unit in SIGNALS}
-        second["angle_2_rad"] = more * one.columns["angle_1_rad"]
-        trials.append(changed(one, **second))
-    assert shared(*trials, causes=("payload",)) == []
-
-
 def in_another_unit(factor):
     """Trials of 0, 1 and 2 kg whose payloads are stated in another unit."""
     return [stated(swung(kg), payload_kg=factor * kg) for kg in (0.0, 1.0, 2.0)]
@@ -152,7 +145,6 @@ def in_another_unit(factor):
     [
         (2.2046, 1.0, "payload unit", "in pounds"),
         (1e3, 1.0, "payload unit", "in grams"),
-        (1 / 2.2046, 1.0, "payload unit", "divided by 2.2"),
         (1.0, 2.2, "torque constant", "not the servo's"),
     ],
 )
@@ -214,3 +206,77 @@ def test_joints_that_move_together_matter_to_a_predictor_only():
         trials.append(changed(one, **both))
     (found,) = shared(*trials, causes=("joints",))
     assert found.level == "warning" and "to train a predictor" in found.remedy
+
+
+# Gravity and conditions of other plants
+
+G = 9.81
+MOUNTINGS = {
+    "upright": (0.0, 0.0, -G), "hanging": (0.0, 0.0, G), "horizontal": (-G, 0.0, 0.0),
+    "other side": (G, 0.0, 0.0),
+}  # fmt: skip
+
+
+@pytest.fixture
+def swing(make_trial):
+    """Function (true gravity, stated gravity, period) -> a trial of one joint.
+
+    The joint carries 1.4 kg at 0.8 m with 5 N·m per ampere: weight, inertia and friction by the
+    equation of a pendulum.
+    """
+
+    def make(true, stated, period_s=4.352):
+        time_s = 0.017 * np.arange(560)
+        w = 2 * np.pi / period_s
+        angle = -0.5 * np.sin(w * np.maximum(time_s - 0.34, 0.0))
+        x, _, z = MOUNTINGS[true]
+        weight_nm = 1.4 * 0.8 * (x * np.cos(angle) - z * np.sin(angle))
+        inertia_nm = -1.4 * 0.8**2 * w**2 * angle
+        rate = np.gradient(angle, 0.017)
+        noise = 0.02 * np.random.default_rng(3).standard_normal(len(angle))
+        trial = make_trial(angle, period_s=period_s, rest_samples=20, gravity_m_s2=stated)
+        current = (inertia_nm - weight_nm) / 5.0 + 0.4 * np.tanh(rate / 0.05) + noise
+        return replace(trial, columns=trial.columns | {"current_1_a": current})
+
+    return make
+
+
+def gravity(trial):
+    """Levels of the findings on gravity."""
+    return [f.level for f in check_trial(trial).findings if f.cause == "gravity"]
+
+
+@pytest.mark.parametrize("true", MOUNTINGS)
+def test_gravity_is_compared_with_the_weight_that_the_current_holds(swing, true):
+    for stated, gravity_m_s2 in MOUNTINGS.items():
+        levels = [] if true == stated else ["warning"]
+        assert gravity(swing(true, gravity_m_s2)) == levels, stated
+    trial = swing(true, MOUNTINGS[true])
+    trial.columns["current_1_a"][:] *= -1  # a wrong sign is not a wrong mounting
+    assert gravity(trial) == []
+    assert [f.cause for f in check_trial(trial).findings if f.cause == "current"] == ["current"]
+
+
+def test_gravity_is_not_judged_by_a_fast_motion(swing):
+    """At 1 s inertia outweighs gravity: a hanging link's current has an upright one's sign."""
+    assert gravity(swing("hanging", MOUNTINGS["hanging"], period_s=1.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("down_m_s2", "level"),
+    [(9.78, None), (1.0, "refused"), (98.1, "refused"), (0.0, "warning"), (2.5, "warning")],
+)
+def test_gravity_is_that_of_the_earth_unless_a_balloon_carries_the_link(swing, down_m_s2, level):
+    trial = swing("upright", (0.0, 0.0, -down_m_s2))
+    assert gravity(trial) == ([level] if level else [])
+    assert judge_conditions(trial, is_described=True) == []
+
+
+def test_conditions_of_the_link_in_the_table_of_other_plants_are_refused(make_trial):
+    trial = make_trial(0.5 * np.sin(0.05 * np.arange(200)), conditions={"payload_kg": 5.0})
+    refused = [f for f in check_trial(trial).findings if f.level == "refused"]
+    assert [f.cause for f in refused] == ["conditions"] and "payload_kg" in refused[0].text
+    with pytest.raises(InputError, match=r"\[conditions\] names payload_kg"):
+        refuse_unusable([trial])
+    of_another_plant = msgspec.structs.replace(trial.meta, link_length_m=0.0)
+    refuse_unusable([replace(trial, meta=of_another_plant)])

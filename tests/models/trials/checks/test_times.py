@@ -6,11 +6,9 @@ import pytest
 from firmware_py.link.link_description import STUDY_LINK
 from models.trials.checks.clocks import judge_clock
 from models.trials.checks.signals import judge_shared_signals, judge_steps, judge_times
-from models.trials.checks.verdict import ImportVerdict
 from models.trials.clock import ClockDrift, Synchronisation
-from models.trials.pipeline import Inspection, Source
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, marker_columns
+from models.trials.recordings.series import Series
 from models.trials.trial import TrialMeta
 
 META = TrialMeta(
@@ -32,9 +30,7 @@ def servo_log(path, step_s=0.017):
     )
 
 
-@pytest.mark.parametrize(
-    ("step_s", "remedy"), [(0.017, None), (0.001, None), (0.0015, None), (1 / 60, "0.01667")]
-)
+@pytest.mark.parametrize(("step_s", "remedy"), [(0.017, None), (0.0015, None), (1 / 60, "0.01667")])
 def test_another_step_is_named_with_the_remedy(step_s, remedy, tmp_path):
     log = [servo_log(tmp_path / "servo.csv", step_s)]
     found = judge_steps(log, RecordingMap())
@@ -44,10 +40,10 @@ def test_another_step_is_named_with_the_remedy(step_s, remedy, tmp_path):
 
 
 def test_a_step_that_jitters_is_not_taken_for_another(tmp_path):
-    rng = np.random.default_rng(3)
     log = servo_log(tmp_path)
-    time_s = log.time_s + rng.uniform(-0.002, 0.002, len(log.time_s))
-    assert judge_steps([Series(time_s, log.columns, tmp_path)], RecordingMap()) == []
+    jitter_s = np.random.default_rng(3).uniform(-0.002, 0.002, len(log.time_s))
+    jittering = Series(log.time_s + jitter_s, log.columns, tmp_path)
+    assert judge_steps([jittering], RecordingMap()) == []
 
 
 @pytest.mark.parametrize(
@@ -73,51 +69,3 @@ def test_a_drift_over_the_edges_of_a_signal_is_named(change_s, count):
     drift = ClockDrift(change_s, 2e-4, 7.8)
     clock = Synchronisation(1.0, np.nan, 5e-4, by="sync", drifts=(drift,))
     assert ["drift apart by 2.5" in f.text for f in judge_clock(clock)] == [True] * count
-
-
-def inspected(path, rigid_markers, servo_epoch_s, offset_s=None):
-    """Verdict on a take whose motion capture's clock starts at 100 s."""
-    time_s = np.arange(0, 10, 1 / 120)
-    markers_m = rigid_markers(np.pad(swing(time_s)[:, None], ((0, 0), (0, 1))))
-    mocap = {"time_s": time_s + 100.0} | marker_columns(
-        {f"m{k + 1:02d}": markers_m[:, k] for k in range(16)}
-    )
-    log = servo_log(path)
-    files = {"mocap": mocap, "servo": {"time_s": log.time_s + servo_epoch_s} | log.columns}
-    for name, columns in files.items():
-        np.savetxt(
-            path / f"{name}.csv", np.column_stack(list(columns.values())), "%.7f", ",",
-            header=",".join(columns), comments="",
-        )  # fmt: skip
-    trial = {
-        "dof": 1, "payload_kg": 0.0, "trial": 1, "motion": "sinusoid", "period_s": 4.0,
-        "amplitude_rad": 0.5, "pressure_pa": 41300.0, "base_offset_m": 0.06, "link_length_m": 0.95,
-        "link_width_m": 0.15,
-    }  # fmt: skip
-    verdict = ImportVerdict("take")
-    source = Source(path / "mocap.csv", "table", path / "servo.csv", offset_s)
-    Inspection(source, RecordingMap(trial=trial), verdict).trial()
-    return verdict
-
-
-def test_the_next_best_offset_is_on_the_same_clocks_as_the_best(rigid_markers, tmp_path):
-    verdict = inspected(tmp_path, rigid_markers, 1.7643e9)
-    assert verdict.clock is not None
-    assert verdict.clock.offset_s == pytest.approx(100.0 - 1.7643e9, abs=1e-3)
-    assert abs(verdict.clock.second_offset_s - verdict.clock.offset_s) < 10.0
-
-
-@pytest.mark.parametrize("epoch_s", [0.0, 1.7643e9])
-@pytest.mark.parametrize(("late_s", "differs"), [(0.0005, ""), (0.02, "20.0"), (-0.5, "500.0")])
-def test_an_offset_by_hand_is_compared_with_the_motion(
-    epoch_s, late_s, differs, rigid_markers, tmp_path
-):
-    true_s = 100.0 - epoch_s
-    verdict = inspected(tmp_path, rigid_markers, epoch_s, true_s + late_s)
-    assert verdict.clock.offset_s == pytest.approx(true_s + late_s, abs=1e-6)  # used all the same
-    texts = [f.text for f in verdict.findings if f.cause == "clock"]
-    assert len(texts) == bool(differs)
-    for text in texts:
-        shown = float(text.split("differs by ")[1].split("\xa0")[0])
-        assert shown == pytest.approx(float(differs), abs=0.5)
-        assert f"{true_s:.2f}"[:-2] in text

@@ -49,16 +49,7 @@ def test_an_occlusion_is_not_spread_to_measured_samples():
 # --- times of the rows ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.002, 0.016])
-def test_a_goal_within_a_period_after_a_sample_belongs_to_its_row(late_s, tmp_path):
-    sampled_s, goals = STEP_S * np.arange(40), np.arange(40) / 100
-    measured = Series(sampled_s, {"angle_1_rad": goals, "current_1_a": goals}, tmp_path)
-    sent = Series(sampled_s + late_s, {"goal_1_rad": goals}, tmp_path)
-    trial = assemble_trial([measured, sent], MAP, "take")
-    assert np.array_equal(trial.goal_rad[:-1], trial.angle_rad[:-1])
-
-
-@pytest.mark.parametrize("mocap_first_s", [-0.4, 0.0, 0.0095, 0.176])
+@pytest.mark.parametrize("mocap_first_s", [-0.4, 0.0095, 0.176])
 def test_goals_and_angles_keep_their_samples_whatever_file_starts_first(mocap_first_s, tmp_path):
     rows = np.arange(100.0)
     servo = {"goal_1_rad": rows / 100, "angle_1_rad": np.sqrt(rows), "current_1_a": rows % 7}
@@ -87,27 +78,18 @@ def test_goals_belong_to_samples_that_jitter(files, tmp_path):
     assert np.abs(trial.goal_rad[:, 0] - sent).max() < 0.2 * 0.01 + 1e-9  # a fifth of a step
 
 
-def test_a_finely_logged_goal_determines_the_phase_in_which_it_was_sent():
+def test_the_phase_of_the_rows_is_that_in_which_goals_were_sent_or_sampled():
     log_s = np.arange(0, 3, 0.001)
-    sent = np.floor((log_s - 0.0051) / STEP_S)
+    sent = np.floor((log_s - 0.0051) / STEP_S)  # logged finely
     grid_s, in_phase = time_grid(0.0123, 2.9, STEP_S, [(log_s, sent)])
-    assert in_phase
-    assert (grid_s - 0.0051) % STEP_S == pytest.approx(0.0, abs=1e-3)
-
-
-def test_rows_with_another_step_begin_on_a_sample():
-    log_s = 0.0031 + np.arange(0, 3, 0.01)
-    grid_s, in_phase = time_grid(0.0123, 2.9, STEP_S, [(log_s, np.sin(log_s))])
-    assert not in_phase
-    assert grid_s[0] == pytest.approx(0.0131)
-    assert np.diff(grid_s) == pytest.approx(STEP_S)
-
-
-def test_a_lost_sample_does_not_move_the_grid():
-    log_s = np.delete(STEP_S * np.arange(100), 40)
+    assert in_phase and (grid_s - 0.0051) % STEP_S == pytest.approx(0.0, abs=1e-3)
+    log_s = np.delete(STEP_S * np.arange(100), 40)  # a lost sample
     grid_s, in_phase = time_grid(0.0, 99 * STEP_S, STEP_S, [(log_s, log_s)])
-    assert in_phase
-    assert grid_s == pytest.approx(STEP_S * np.arange(100))
+    assert in_phase and grid_s == pytest.approx(STEP_S * np.arange(100))
+    log_s = 0.0031 + np.arange(0, 3, 0.01)  # another step
+    grid_s, in_phase = time_grid(0.0123, 2.9, STEP_S, [(log_s, np.sin(log_s))])
+    assert not in_phase and grid_s[0] == pytest.approx(0.0131)
+    assert np.diff(grid_s) == pytest.approx(STEP_S)
 
 
 def test_goals_are_held_and_never_mixed(tmp_path):

@@ -8,18 +8,22 @@ default changes the take in one way.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+import ezc3d
+import msgspec
 import numpy as np
 import tomli_w
 from scipy.interpolate import CubicSpline
 
-from firmware_py.core.signals import trial_signals
+from firmware_py.config import RobotConfig
+from firmware_py.core.signals import PERIOD_S, trial_signals
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import square_corners_m
+from firmware_py.log.sinks import McapSink, TickEncoder
 from models.shared.kinematics import base_corners_m, base_rotation
 from models.trials.recordings.mapping import BASE_MARKERS
 from models.trials.recordings.series import nominal_markers_m
@@ -33,6 +37,68 @@ ORIGIN_M: Final = np.array([1.2, -0.7, 0.42])
 RUN_CONDITIONS: Final = ("dof", "payload_kg", "trial", "motion", "period_s", "phase_2_rad")
 """What the map says of the run."""
 TO_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def motive_export(
+    time_s: Array, labels: Sequence[str], places: Array, *, millimetres: bool = False
+) -> str:
+    """Export of Motive with measured markers; places (n, markers, 3) as they are in the file."""
+    columns = len(labels) * 3
+    each = [label for label in labels for _ in "XYZ"]
+    head = [
+        "Format Version,1.23,Take Name,take,Length Units,"
+        f"{'Millimeters' if millimetres else 'Meters'},Coordinate Space,Global",
+        "",
+        ",Type," + ",".join(["Marker"] * columns),
+        ",Name," + ",".join(each),
+        ",ID," + ",".join(each),
+        ",," + ",".join(["Position"] * columns),
+        "Frame,Time (Seconds)," + ",".join("XYZ" * len(labels)),
+    ]
+    rows = [
+        f"{k},{t:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
+        for k, (t, row) in enumerate(zip(time_s, places.reshape(len(time_s), -1), strict=True))
+    ]
+    return "\n".join([*head, *rows]) + "\n"
+
+
+def write_c3d(
+    path: Path,
+    markers_m: Array,
+    *,
+    unit: str = "mm",
+    rate_hz: float = 240.0,
+    labels: Sequence[str] = (),
+    analogs: Mapping[str, tuple[str, Array]] | None = None,
+) -> Path:
+    """Points (n, 16, 3), and analog channels at twice their rate as (unit, values) by name."""
+    file = ezc3d.c3d()
+    points = np.ones((4, 16, len(markers_m)))
+    points[:3] = {"mm": 1000.0}.get(unit, 1.0) * np.moveaxis(markers_m, -1, 0).transpose(0, 2, 1)
+    point, analog = file["parameters"]["POINT"], file["parameters"]["ANALOG"]
+    point["UNITS"]["value"], point["RATE"]["value"] = [unit], [rate_hz]
+    point["LABELS"]["value"] = list(labels) or [f"m{i:02d}" for i in range(1, 17)]
+    file["data"]["points"] = points
+    if analogs is not None:
+        analog["RATE"]["value"], analog["LABELS"]["value"] = [2 * rate_hz], list(analogs)
+        analog["UNITS"]["value"] = [u for u, _ in analogs.values()]
+        file["data"]["analogs"] = np.array([[v for _, v in analogs.values()]])
+    file.write(str(path))
+    return path
+
+
+ROBOT = {"bundle": "b", "bus": {"port": "p"}, "servos": [{"id": 1, "model": "H54-200-S500-R"}]}
+
+
+def write_log(path: Path, records: Array, dof: int, **metadata: str) -> Path:
+    """Log of `dropstitch run` with ticks as records."""
+    config = msgspec.json.encode(msgspec.convert(ROBOT, RobotConfig)).decode()
+    facts = {"dof": str(dof), "period_s": repr(PERIOD_S), "config": config} | metadata
+    sink, encode = McapSink(str(path), dof, facts), TickEncoder(dof, 10**18)
+    for record in records:
+        sink.write(*encode(record.tobytes()))
+    sink.finish()
+    return path
 
 
 @dataclass
@@ -116,23 +182,9 @@ class WrittenTake:
         names = [f"Link:{name}" for name in STUDY_LINK.layout.names]
         names += [f"Base:{name}" for name in BASE_MARKERS] if self.base else []
         present = [k for k, name in enumerate(names) if name.split(":")[1] not in self.absent]
-        labels = [names[k] for k in present for _ in "XYZ"]
-        unit = "Millimeters" if self.millimetres else "Meters"
-        head = [
-            f"Format Version,1.23,Take Name,take,Length Units,{unit},Coordinate Space,Global",
-            "",
-            ",Type," + ",".join(["Marker"] * len(labels)),
-            ",Name," + ",".join(labels),
-            ",ID," + ",".join(labels),
-            ",," + ",".join(["Position"] * len(labels)),
-            "Frame,Time (Seconds)," + ",".join("XYZ"[i % 3] for i in range(len(labels))),
-        ]
-        cells = in_file[:, present].reshape(len(frames_s), -1)
-        rows = [
-            f"{k},{k / self.rate_hz:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
-            for k, row in enumerate(cells.tolist())
-        ]
-        path.write_text("\n".join([*head, *rows]) + "\n")
+        labels, places = [names[k] for k in present], in_file[:, present]
+        times_s = np.arange(len(frames_s)) / self.rate_hz
+        path.write_text(motive_export(times_s, labels, places, millimetres=self.millimetres))
 
     def _write_servo(
         self, trial: Trial, path: Path, rng: np.random.Generator
