@@ -215,9 +215,13 @@ def call(monkeypatch, out, runner, *more):
 
 
 @pytest.mark.parametrize(
-    ("number", "raised"), [(signal.SIGTERM, Terminated), (signal.SIGINT, KeyboardInterrupt)]
+    ("number", "raised", "error"),
+    [
+        (signal.SIGTERM, Terminated, None),
+        (signal.SIGINT, KeyboardInterrupt, BrokenPipeError()),
+    ],
+    ids=["stopped by SIGTERM", "broken by SIGINT"],
 )
-@pytest.mark.parametrize("error", [None, BrokenPipeError()], ids=["stopped", "broken"])
 def test_a_signal_in_a_case_ends_the_campaign_and_not_the_case(monkeypatch, number, raised, error):
     monkeypatch.setitem(campaign.RUNNERS, "virtual", ended_at(3, number, error))
     kept = []
