@@ -74,9 +74,9 @@ def test_fmpy_takes_the_inputs_as_its_input_file(carrying, run, toy):
 
 @pytest.mark.parametrize(
     "damaged",
-    [lambda text: text.replace("0.", "nan", 1), lambda text: "\n" + text, lambda _: "",
+    [lambda text: text.replace("0.", "nan", 1), lambda text: "\n" + text,
      lambda text: text + "1" * 200_000, lambda text: text + "\n" * 1_000_000],
-    ids=["nan", "no header", "empty", "long field", "large"],
+    ids=["nan", "no header", "long field", "large"],
 )  # fmt: skip
 def test_a_damaged_table_is_refused(carrying, damaged):
     with FmuArchive(carrying) as archive:
@@ -86,7 +86,7 @@ def test_a_damaged_table_is_refused(carrying, damaged):
             read_reference_run(archive.directory)
 
 
-def test_the_page_shows_a_run_and_every_equation_and_parameter_and_refers_to_nothing_outside():
+def test_the_page_shows_a_run_every_equation_and_parameter_and_refers_to_nothing_outside(toy):
     plant = read_plant()
     parts = FmuParts("observer", 1, plant, None)
     model = parts.model()
@@ -96,9 +96,10 @@ def test_the_page_shows_a_run_and_every_equation_and_parameter_and_refers_to_not
     assert all(f"Effect: {name}" in page for name in plant.effects)
     assert "τ_root" in page
     assert all(f'<th scope="row">{name}</th>' in page for name in plant.parameters)
+    parts_of_toy = documentation_page(interface_of(toy, "none"), "<a counter>")
+    assert "&lt;a counter&gt;" in parts_of_toy
     links = re.findall(r'(?:href|src)="([^"]*)"', page)
     assert all(link.startswith(("#", "data:")) for link in links)
-    assert "docs/" not in page and "models." not in page
     schema = etree.XMLSchema(etree.parse(str(SCHEMAS / "fmi3" / "fmi3TerminalsAndIcons.xsd")))
     schema.assertValid(etree.fromstring(documents.files["terminalsAndIcons/terminalsAndIcons.xml"]))
     icon = documents.files["terminalsAndIcons/icon.png"]

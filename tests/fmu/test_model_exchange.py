@@ -22,8 +22,8 @@ TIME_S = PERIOD_S * np.arange(COUNT + 1)
 TORQUE_NM = 4.8 * np.sin(2 * np.pi * TIME_S / 0.7)
 
 
-def held(toy, torque_nm):
-    """Input table of FMPy: the torque of a period is held over it, the payload constant."""
+def inputs(toy, torque_nm):
+    """Input table of FMPy: the torque is constant over a period, the payload throughout."""
     rows = [(TIME_S[0], torque_nm[0], 0.25)]
     for k in range(1, COUNT + 1):
         rows += [(TIME_S[k], torque_nm[k - 1], 0.25), (TIME_S[k], torque_nm[k], 0.25)]
@@ -32,7 +32,7 @@ def held(toy, torque_nm):
 
 def run(path, toy, interface_type, torque_nm=TORQUE_NM, **options):
     return fmpy.simulate_fmu(
-        str(path), fmi_type=interface_type, input=held(toy, torque_nm), relative_tolerance=1e-9,
+        str(path), fmi_type=interface_type, input=inputs(toy, torque_nm), relative_tolerance=1e-9,
         stop_time=COUNT * PERIOD_S, output_interval=PERIOD_S, output=names(toy.outputs),
         record_events=False, **options,
     )  # fmt: skip
@@ -129,9 +129,6 @@ def test_states_have_nominals_and_rates(exchange, toy):
 def test_calls_of_the_other_interface_type_are_refused(exchange, archive):
     state = exchange.fmu.getFMUState()
     with archive.instance() as stepping:
-        stepping.initialize()
-        for call in (stepping.fmu.terminate, stepping.fmu.reset):
-            call()
         stepping.initialize()
         with pytest.raises(FMICallException):
             stepping.fmu.setFMUState(state)

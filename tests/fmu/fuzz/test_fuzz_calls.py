@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from tests.fmu.fuzz.fuzzer import build_fuzzer, fuzz
+from tests.fmu.fuzz.__main__ import build_fuzzer, fuzz
 
 
 @pytest.mark.slow
