@@ -30,29 +30,20 @@ def commands():
     return planned("gap-demo", "HIDE=dead_time=0.03 creep=0.2")
 
 
-def test_every_trial_and_run_of_the_workflow_has_what_is_hidden(commands):
-    own = [c for c in commands if "build/gap_demo/" in c]
+def test_trials_and_runs_of_the_workflow_hide_the_effects_and_nothing_else_does(commands):
+    hidden = "--hide dead_time=0.03 --hide creep=0.2"
+    workflow = [c for c in commands if "build/gap_demo/" in c and "_without" not in c]
     for what in ("dropstitch simulate", "dropstitch sil", "report gap"):
-        told = [c for c in own if what in c and "_without" not in c]
-        assert told
-        assert all("--hide dead_time=0.03 --hide creep=0.2" in c for c in told)
-
-
-def test_nothing_else_knows_what_is_hidden(commands):
+        runs = [c for c in workflow if what in c]
+        assert runs
+        assert all(hidden in c for c in runs)
     blind = [
         c for c in commands if re.search(r"dropstitch (gap|train|identify|fmu )|sil_without", c)
     ]
     assert len(blind) > 10
-    assert not any("--hide" in c for c in blind)
-
-
-def test_every_choice_has_a_directory_of_its_own(commands):
+    assert not any("--hide" in c for c in [*blind, *planned("demo")])
     (report,) = [c for c in commands if "report gap" in c]
     assert "--out build/gap_demo/dead_time_0.03+creep_0.2/report.html" in report
-
-
-def test_the_demo_hides_nothing():
-    assert not any("--hide" in c for c in planned("demo"))
 
 
 def test_the_loop_in_software_runs_a_bundle_with_the_twin_of_its_plant():

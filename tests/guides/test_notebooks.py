@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 
-from tests.house.each_file import ROOT
+from tests.house.sources import ROOT
 
 pytestmark = pytest.mark.slow
 
@@ -38,16 +38,12 @@ def run(name, monkeypatch):
     return space
 
 
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda p: p.stem)
-def test_a_notebook_is_committed_without_outputs(notebook):
-    for cell in code_cells(notebook):
+def test_every_notebook_is_run_below_and_committed_without_outputs():
+    assert [n.stem for n in NOTEBOOKS] == ["compare", "diagnose", "predict"]
+    for cell in (cell for notebook in NOTEBOOKS for cell in code_cells(notebook)):
         assert not cell["outputs"] and cell["execution_count"] is None, (
             "clear the outputs: jupyter nbconvert --clear-output --inplace FILE"
         )
-
-
-def test_every_notebook_is_run_below():
-    assert [n.stem for n in NOTEBOOKS] == ["compare", "diagnose", "predict"]
 
 
 def test_predict_for_arrays(monkeypatch, capsys):
