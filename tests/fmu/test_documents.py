@@ -106,32 +106,6 @@ def test_the_page_shows_a_run_every_equation_and_parameter_and_refers_to_nothing
     assert struct.unpack(">II", icon[16:24]) == (128, 128)
 
 
-@pytest.mark.parametrize(
-    ("plant", "follows"),
-    [(None, {"di": "payload_kg"}), ("xl330_pendulum", {"current_1_a": "goal_1_rad"})],
-    ids=["link on a cascade", "pendulum on a duty cycle"],
-)
-def test_the_page_names_the_outputs_that_follow_a_changed_input(plant, follows):
-    """What the page says is what the model does before the next step."""
-    read = read_plant(EXAMPLES / f"{plant}.toml") if plant else read_plant()
-    model = read.step_model(1, "twin")
-    page = documentation_page(interface_of(model, "none"), "")
-    text = re.search("These inputs act within .*? Whatever", page)[0]
-    acting = {}
-    for inputs, outputs in re.findall(r"(?:point:|;) ([^;:]*?) on ([^;:]*?)(?=[;.])", text):
-        acting |= dict.fromkeys(inputs.split(", "), outputs.split(", "))
-    outputs = np.array(names(model.outputs))
-    u = np.array([v.start for v in model.inputs]) + 0.01
-    x, p = model.initial(u, model.parameter_values()), model.parameter_values()
-    before = np.asarray(model.output(x, u, p)).ravel()
-    for k, name in enumerate(names(model.inputs)):
-        after = np.asarray(model.output(x, u + 0.2 * (np.arange(len(u)) == k), p)).ravel()
-        assert set(outputs[after != before]) <= set(acting.get(name, ()))
-    for output, name in follows.items():
-        assert output in acting[name]
-    assert ("current" in text) == ("current_1_a" in follows)
-
-
 def test_the_example_of_a_twin_is_the_studys_motion_and_holds_the_payload():
     parts = FmuParts("twin", 1, read_plant(), None)
     model = parts.model()

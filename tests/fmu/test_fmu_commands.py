@@ -17,7 +17,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.signals import tip_names
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import write_manifest
-from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity
+from firmware_py.link.link_description import STUDY_LINK, LinkGravity
 from firmware_py.link.marker_layout import square_corners_m
 from fmu.fmpy_run import check_link_of_trial, inputs_from_trial
 from fmu.fmu_models import FmuParts
@@ -159,18 +159,6 @@ def test_check_fails_an_fmu_whose_binary_lacks_a_function(twin, tmp_path, capsys
     assert "lacks fmi3GetClock" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_check_fails_a_description_without_units(twin, tmp_path, capsys):
-    def strip(files):
-        xml = files["modelDescription.xml"].decode()
-        before, after = xml.split('name="current_1_a"')
-        after = after.replace(' unit="A"', "", 1)
-        files["modelDescription.xml"] = f'{before}name="current_1_a"{after}'.encode()
-
-    assert main(["fmu", "check", str(_rewritten(twin, tmp_path / "bare.fmu", strip))]) == 1
-    assert "missing on current_1_a" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("file", "words"),
     [
@@ -213,7 +201,6 @@ def test_what_cannot_be_built_is_refused(
 
 # ---- Another link -------------------------------------------------------------------------------
 
-SMALL = LinkDescription(length_m=0.6, width_m=0.1, payload_kg=0.1)
 META = TrialMeta(
     dof=1, payload_kg=1.0, trial=1, motion="sinusoid", source="twin", period_s=4.352,
     base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=1,
@@ -277,21 +264,3 @@ def test_a_trial_of_the_fmus_link_is_accepted():
     two = SimpleNamespace(path="run.csv", meta=SimpleNamespace(dof=2))
     with pytest.raises(InputError, match="of 2DOF, the FMU of 1DOF"):
         inputs_from_trial(SimpleNamespace(dof=1), None, two)
-
-
-@pytest.mark.parametrize(("option", "expected_kg"), [([], 0.05), (["--payload-kg", "0.1"], 0.1)])
-def test_a_package_has_a_payload_of_its_link(
-    bundle_1dof, tmp_path, capsys, monkeypatch, option, expected_kg
-):
-    built = []
-
-    def build(twin, observer, output, *, payload_kg, platforms, report):
-        built.append(payload_kg)
-        output.touch()
-
-    monkeypatch.setattr("fmu.ssp.build_ssp", build)
-    plant, out = tmp_path / "plant.json", tmp_path / "link.ssp"
-    parts(SMALL).plant.write(plant)
-    words = ["ssp", bundle_1dof, "--plant", plant, "--out", out, "--json", *option]
-    assert main(["fmu", *map(str, words)]) == 0
-    assert built == [json.loads(capsys.readouterr().out)["payload_kg"]] == [expected_kg]

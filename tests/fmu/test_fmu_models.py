@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import PERIOD_S, feature_names
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
-from fmu import fmu_models
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmpy_run import inputs_from_motion
 from fmu.fmu_checker import varying_steps_s
@@ -152,11 +150,6 @@ def test_the_observer_follows_the_twin_of_its_plant(bundle, fmu_of):
     distance_m = np.linalg.norm(estimated - actual, axis=1)[len(u) // 4 :]
     deflection_m = np.ptp(actual, axis=0).max()
     assert np.sqrt(np.mean(distance_m**2)) < 0.01 * deflection_m
-
-
-def test_a_plant_without_the_predictors_features_is_refused(bundle_1dof, toy):
-    with pytest.raises(InputError, match="has no output angle_1_rad, which the predictor needs"):
-        fmu_models._with_predictor(toy, read_parts("twin", 1, bundle_1dof))
 
 
 @pytest.mark.slow

@@ -161,18 +161,6 @@ def _listed(path):
     return configuration.sourceFileSets[0].sourceFiles
 
 
-def test_every_source_is_packed_and_no_header_of_the_standard(sources, toy_fmu):
-    with zipfile.ZipFile(sources) as archive:
-        packed = {
-            name.removeprefix("sources/") for name in archive.namelist() if "sources/" in name
-        }
-    assert {name for name in packed if name.endswith(".c")} == set(_listed(sources))
-    assert not {path.name for path in HEADERS.glob("fmi*.h")} & packed
-    assert fmpy.read_model_description(str(toy_fmu)).buildConfigurations == []
-    with zipfile.ZipFile(toy_fmu) as archive:
-        assert b"Apache License" in archive.read("documentation/licenses/license.txt")
-
-
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 def test_the_sources_are_c99_to_gcc(sources, tmp_path):
     with zipfile.ZipFile(sources) as archive:

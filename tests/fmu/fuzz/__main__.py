@@ -10,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal, NamedTuple
@@ -34,23 +33,17 @@ class FuzzResult(NamedTuple):
     objection: str
 
 
-def build_fuzzer(
-    model: StepModel,
-    fmi: Literal[2, 3],
-    directory: Path,
-    calls: str = "fuzz_calls.c",
-    sanitizers: Sequence[str] = SANITIZERS,
-) -> Path:
-    """Compile a program of calls with the FMU of a model; the system's gcc has all sanitizers."""
+def build_fuzzer(model: StepModel, fmi: Literal[2, 3], directory: Path) -> Path:
+    """Compile the fuzzer with the FMU of a model; the system's gcc has all sanitizers."""
     example = [1.0 if v.name == "torque_nm" else 0.0 for v in model.inputs]
     interface = interface_of(model, "both" if fmi == 3 else "forward", example)
     model_c = write_equations(model, interface, directory)
     variables_c = write_variables(model, interface, "{fuzz}", directory)
     program = directory / f"fuzz_fmi{fmi}"
-    sources = [Path(__file__).with_name(calls), *core_sources(fmi), model_c, variables_c]
+    sources = [Path(__file__).with_name("fuzz_calls.c"), *core_sources(fmi), model_c, variables_c]
     subprocess.run(
         [
-            os.environ.get("CC", "gcc"), "-std=c99", "-O1", "-g", "-ffp-contract=off", *sanitizers,
+            os.environ.get("CC", "gcc"), "-std=c99", "-O1", "-g", "-ffp-contract=off", *SANITIZERS,
             f"-DFMI={fmi}", *(f"-I{path}" for path in (WRAPPER, directory, HEADERS)),
             *map(str, sources), "-o", str(program), "-lm",
         ],

@@ -77,18 +77,6 @@ def test_a_damaged_file_is_no_result(stored, damage):
     assert store.read(first.key) is None
 
 
-def test_a_damaged_row_of_costs_does_not_count(stored):
-    store, _ = stored
-    row = "a,code,done,0.5,0.4,1,host-1"
-    other = [row.replace("0.4", "x"), row[:-7], row[:10], row.replace("code", "old")]
-    store.costs.write_text(
-        "\n".join(["key,code,state,wall_s,cpu_s,memory_bytes,worker", row, *other])
-    )
-    assert [cost.cpu_s for cost in store.read_costs("code")] == [0.4]
-    store.costs.write_bytes(b"\xff")
-    assert store.read_costs("code") == []
-
-
 def test_a_file_of_a_case_is_read_within_limits(toys, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with (tmp_path / "large").open("wb") as file:

@@ -15,8 +15,6 @@ from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
 from firmware_py.system.clock import RealTimeOptions
 from fmu import fmu_builder
-from hil.commands.emulate import NOT_REAL_TIME
-from hil.emulator.emulator import open_physics
 from hil.emulator.physics import build_twin
 from models.plant.plant import NOMINAL
 
@@ -62,24 +60,6 @@ def test_the_servos_ask_for_the_priority_of_a_loop_and_not_for_more(emulating):
     os.sched_setscheduler(0, *before)
     assert policy_of(process) == os.SCHED_FIFO
     assert os.sched_getparam(process.pid).sched_priority <= RealTimeOptions().priority
-
-
-def test_a_refused_priority_is_reported_once_and_the_servos_are_served(
-    monkeypatch, capsys, tmp_path
-):
-    def refuse(*_):
-        raise PermissionError
-
-    def serve(specification, kind, path, announce):
-        with open_physics(specification.source, 1).fmu:
-            announce("the port")
-
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    monkeypatch.setattr("hil.commands.emulate.serve_forever", serve)
-    assert main(["emulate", "--plant", str(NOMINAL), "--path", str(tmp_path / "bus")]) == 0
-    output = capsys.readouterr()
-    assert output.out.startswith("the port\n")
-    assert output.err == f"{NOT_REAL_TIME}\n"
 
 
 @pytest.mark.slow

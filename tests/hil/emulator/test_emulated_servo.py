@@ -162,15 +162,6 @@ def test_one_write_can_span_several_registers_or_none(bus_of):
     assert read(bus, Register.PROFILE_VELOCITY) == 5
 
 
-def test_registered_writes_wait_for_action(bus_of):
-    bus = bus_of(PRO_A)
-    frame = codec.build(1, Instruction.REG_WRITE, bytes((564 & 0xFF, 564 >> 8, 9, 0, 0, 0)))
-    assert ask(bus, frame) == [(1, 0, b"")]
-    assert read(bus, Register.GOAL_POSITION) == 0
-    assert ask(bus, codec.build(BROADCAST, Instruction.ACTION)) == []
-    assert read(bus, Register.GOAL_POSITION) == 9
-
-
 def test_sync_read_answers_in_the_order_asked_until_one_is_missing(bus_of):
     bus = bus_of(ids=(1, 2))
     assert [a[0] for a in ask(bus, codec.build_sync_read((2, 1), 574, 10))] == [2, 1]
@@ -182,18 +173,6 @@ def test_sync_write_reaches_each_servo_with_its_own_goal(bus_of):
     frame = codec.build_sync_write(564, {1: b"\x05\0\0\0", 2: b"\xfb\xff\xff\xff", 9: bytes(4)})
     assert ask(bus, frame) == []
     assert [read(bus, Register.GOAL_POSITION, servo=k) for k in (0, 1)] == [5, -5]
-
-
-@pytest.mark.parametrize(("level", "answers"), [(0, 1), (1, 2), (2, 3)])
-def test_status_return_level(bus_of, level, answers):
-    bus = bus_of()
-    bus.servos[0].put(Register.STATUS_RETURN_LEVEL, level)
-    frames = (
-        codec.build(1, Instruction.PING),
-        codec.build_read(1, 0, 2),
-        codec.build_write(1, 564, bytes(4)),
-    )
-    assert sum(len(ask(bus, frame)) for frame in frames) == answers
 
 
 def test_a_fatal_hardware_error_stops_the_motor_until_a_reboot(bus_of):

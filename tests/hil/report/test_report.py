@@ -200,14 +200,6 @@ def test_files_are_recognised_by_their_contents(build, renamed):
     assert [left.split(":")[0] for left in read_build(renamed).left_out] == ["arm", "c"]
 
 
-def test_a_study_with_a_manifest_is_no_bundle(build, copy):
-    """`dropstitch train --study-only` writes a manifest too, which is no robot's."""
-    (copy / "study_2dof_phase90" / "manifest.json").write_text("{}")
-    usual, other = read_build(build), read_build(copy)
-    assert (other.motions, other.manifests) == (usual.motions, usual.manifests)
-    assert other.left_out == []
-
-
 def test_the_usual_name_of_a_plant_comes_first(tmp_path):
     (tmp_path / "notes.json").write_text("[1, 2]")
     (tmp_path / "broken.json").write_text("{")

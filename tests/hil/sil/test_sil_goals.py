@@ -23,7 +23,6 @@ from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import Estimate, NoEstimator, ObserverEstimator
 from firmware_py.inference.manifest import MANIFEST
-from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
@@ -38,7 +37,6 @@ from models.plan.planning import PlanRequest, plan_path
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trial
 from tests.firmware_py.goals.scripted_program import linear_map, swinging
-from tests.firmware_py.goals.small_plan import OTHER_PLANT
 from tests.hil.sil.test_sil import RigidPredictor
 
 PAYLOAD_KG = 0.8
@@ -350,22 +348,6 @@ def test_a_map_for_another_robot_is_refused(options, tmp_path):
     goals = outside_goals(f"unix:{tmp_path}/goals", tmp_path / "map.json", config, chosen.bundle)
     with pytest.raises(InputError, match="is for 2 joints, the robot has 1"), goals:
         pass
-
-
-def test_goals_computed_with_another_plant_are_noted_in_log_and_results(
-    options, bundle, plan, tmp_path
-):
-    manifest = msgspec.structs.replace(bundle.manifest, plant_sha256="1" * 64)
-    trained = dataclasses.replace(bundle, manifest=manifest)
-    same = msgspec.structs.replace(plan, plant_sha256="1" * 64, link=STUDY_FACTS)
-    other = msgspec.structs.replace(same, plant_sha256="0" * 64)
-    assert options(bundle=trained, plan=same).goals_note == ""
-    chosen = options(bundle=trained, plan=other, seconds=0.5)
-    timing = write_results(run_sil(chosen), chosen)
-    note = read_recording(tmp_path / LOG_NAME).metadata["goals_note"]
-    assert note.startswith(f"plan line {OTHER_PLANT} {bundle.directory}")
-    assert timing.environment.goals_note == note
-    assert note in describe_sil(timing, tmp_path).splitlines()
 
 
 def plan_with_moves(plan, desired_m, moves):
