@@ -13,8 +13,9 @@ from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_py.core.errors import InputError
+from firmware_py.core.errors import FmuRefusal, InputError
 from firmware_py.core.signals import PERIOD_S
+from firmware_py.inference.fmu_instance import FmuInstance
 from fmu.fmu_checker import exported_functions, varying_steps_s
 from models.plant.step_model import names
 
@@ -114,6 +115,26 @@ def test_instances_in_threads_run_as_they_do_alone(archive):
         together = list(pool.map(tip_m, torques_nm))
     assert together == [tip_m(torque_nm) for torque_nm in torques_nm]
     assert together[0] - together[1] > 0.1
+
+
+def test_a_tick_of_the_robot_equals_set_step_and_get(toy_fmu_3, toy):
+    """`dropstitch_tick`; without a step it only evaluates, and the start follows from its inputs."""
+    inputs, outputs = names(toy.inputs), names(toy.outputs)
+    with FmuInstance(toy_fmu_3) as ticking, FmuInstance(toy_fmu_3) as stepping:
+        tick = ticking.tick_channel(inputs, outputs)
+        for u, step_s in zip(_inputs(20), [0.0, 0.0, PERIOD_S, 0.0, *[0.01] * 16], strict=True):
+            tick.inputs[:] = u
+            tick.run(step_s)
+            stepping.set(inputs, u)
+            if step_s:
+                stepping.step(step_s)
+            np.testing.assert_array_equal(tick.outputs, stepping.get(outputs))
+        assert ticking.time_s == stepping.time_s
+        before = tick.outputs.copy()
+        tick.inputs[:] = math.nan
+        with pytest.raises(FmuRefusal, match="torque_nm"):
+            tick.run(PERIOD_S)
+        np.testing.assert_array_equal(tick.outputs, before)
 
 
 def test_a_reset_instance_runs_as_a_new_one(instance):

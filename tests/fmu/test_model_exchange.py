@@ -100,6 +100,9 @@ def test_time_events_come_once_a_period(exchange):
     go_to(exchange, 3.5 * PERIOD_S)
     assert update(exchange)[5] == pytest.approx(4 * PERIOD_S)  # an event of the host: no sample
     assert exchange.get(["steps"]) == 3
+    go_to(exchange, 8 * PERIOD_S)  # a host that passed over samples gets the next one in time
+    assert update(exchange)[5] == pytest.approx(9 * PERIOD_S)
+    assert exchange.get(["steps"]) == 4
 
 
 def test_an_indicator_changes_its_sign_at_the_saturation(exchange):

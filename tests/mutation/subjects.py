@@ -80,7 +80,7 @@ SUBJECTS = (
         "fmu-c",
         ("fmu/c/*.c",),
         tuple(f"tests/fmu/test_{part}.py" for part in (
-            "fmu_math", "calls", "saved_states", "derivatives", "example_motion", "model_exchange",
+            "calls", "saved_states", "derivatives", "example_motion", "model_exchange", "fmu_math",
         )),
     ),
     Subject(
