@@ -118,7 +118,7 @@ def test_instances_in_threads_run_as_they_do_alone(archive):
 
 
 def test_a_tick_of_the_robot_equals_set_step_and_get(toy_fmu_3, toy):
-    """`dropstitch_tick`; without a step it only evaluates, and the start follows from its inputs."""
+    """Without a step it evaluates only, before the start from the start's inputs."""
     inputs, outputs = names(toy.inputs), names(toy.outputs)
     with FmuInstance(toy_fmu_3) as ticking, FmuInstance(toy_fmu_3) as stepping:
         tick = ticking.tick_channel(inputs, outputs)

@@ -9,6 +9,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import fmi2EventInfo
 from scipy.integrate import solve_ivp
 
 from firmware_py.core.signals import PERIOD_S
@@ -103,6 +104,20 @@ def test_time_events_come_once_a_period(exchange):
     go_to(exchange, 8 * PERIOD_S)  # a host that passed over samples gets the next one in time
     assert update(exchange)[5] == pytest.approx(9 * PERIOD_S)
     assert exchange.get(["steps"]) == 4
+
+
+def test_an_event_writes_every_value_that_it_returns(exchange):
+    """A host need not clear them before the call."""
+    fmu = exchange.fmu
+    if exchange.fmi == 2:
+        info = fmi2EventInfo(1, 1, 1, 1, 0, -1.0)
+        fmu.fmi2NewDiscreteStates(fmu.component, ctypes.byref(info))
+        found = [getattr(info, name) for name, _ in info._fields_]
+    else:
+        values = [*(ctypes.c_bool(True) for _ in range(4)), ctypes.c_bool(), ctypes.c_double(-1.0)]
+        fmu.fmi3UpdateDiscreteStates(fmu.component, *map(ctypes.byref, values))
+        found = [v.value for v in values]
+    assert found == [0, 0, 0, 0, 1, pytest.approx(PERIOD_S)]
 
 
 def test_an_indicator_changes_its_sign_at_the_saturation(exchange):

@@ -108,6 +108,7 @@ def test_the_importer_makes_a_trial_and_refuses_a_truncated_file(monkeypatch, tm
     assert np.allclose(trial.angle_rad[:, 0], angle_rad[: len(trial)], atol=1e-12)
     whole = (tmp_path / "run.npz").read_bytes()
     (tmp_path / "run.npz").write_bytes(whole[: len(whole) // 2])
+    arguments[-1] = str(tmp_path / "again")
     assert dropstitch(["import", str(tmp_path / "run.npz"), *arguments]) == 2
     assert "run.npz" in capsys.readouterr().err
 

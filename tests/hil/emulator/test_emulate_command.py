@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import signal
 import subprocess
 import sys
@@ -12,10 +11,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.core.errors import InputError
 from firmware_py.system.clock import RealTimeOptions
-from fmu import fmu_builder
-from hil.emulator.physics import build_twin
 from models.plant.plant import NOMINAL
 
 
@@ -109,17 +105,3 @@ def test_what_cannot_be_emulated_is_refused_in_one_sentence(arguments, complaint
     assert main(["emulate", *arguments]) == 2
     error = capsys.readouterr().err
     assert complaint in error and error.count("\n") == 1
-
-
-def test_the_twin_is_built_for_this_machine_and_refused_without_a_compiler_for_it(
-    tmp_path, monkeypatch
-):
-    platforms = []
-    monkeypatch.setattr(fmu_builder, "build_fmu", lambda *_, **options: platforms.append(options))
-    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
-    build_twin(NOMINAL, 1, tmp_path)
-    assert [list(options["platforms"]) for options in platforms] == [["aarch64-linux"]]
-    monkeypatch.undo()
-    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
-    with pytest.raises(InputError, match="unknown platform 'riscv64-linux'"):
-        build_twin(NOMINAL, 1, tmp_path)

@@ -258,14 +258,11 @@ def test_a_fast_sync_read_gives_what_a_sync_read_gives(bus_of, address, length):
     assert together(bus, (3, 1, 2), address, length) == apart
 
 
-def test_servos_behind_a_silent_one_do_not_join_the_packet(bus_of):
+def test_a_fast_answer_ends_before_a_silent_servo_and_a_legacy_pro_has_none(bus_of):
+    assert together(bus_of(LEGACY, ids=(1, 2)), (1, 2), 611, 4) is None
     bus = bus_of(PRO_A, ids=(1, 2))
     assert [block[0] for block in together(bus, (1, 9, 2), 580, 4)] == [1]
     assert together(bus, (9, 1), 580, 4) is None
-
-
-def test_a_legacy_pro_does_not_know_the_fast_sync_read(bus_of):
-    assert together(bus_of(LEGACY, ids=(1, 2)), (1, 2), 611, 4) is None
 
 
 @pytest.mark.slow
