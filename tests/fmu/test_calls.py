@@ -305,7 +305,7 @@ LEGAL = {
 CALLS = st.lists(st.sampled_from([*LEGAL, "save", "restore"]), min_size=1, max_size=25)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(calls=CALLS, torques_nm=st.lists(st.floats(-5, 5), min_size=25, max_size=25))
 def test_calls_are_taken_where_they_are_legal_and_only_there(archive, calls, torques_nm):
     with archive.instance() as instance:

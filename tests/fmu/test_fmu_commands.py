@@ -76,7 +76,7 @@ def _trial_of(columns, directory):
     heights_m = [0.06 + 0.95 * row / 4 for row in (1, 2, 3, 4)]
     markers_m = np.concatenate([base_corners_m(angle_rad, h, corners_m) for h in heights_m], axis=1)
     named = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
-    kept = ("time_s", "goal_1_rad", "angle_1_rad", "current_1_a", *tip_names())
+    copied = ("time_s", "goal_1_rad", "angle_1_rad", "current_1_a", *tip_names())
     trial = Trial(
         "run",
         TrialMeta(
@@ -84,7 +84,7 @@ def _trial_of(columns, directory):
             period_s=4.352, amplitude_rad=0.5236, base_offset_m=0.06, link_length_m=0.95,
             link_width_m=0.15, rest_samples=1,
         ),
-        {name: columns[name] for name in kept}
+        {name: columns[name] for name in copied}
         | dict(zip(named, markers_m.reshape(len(angle_rad), 48).T, strict=True)),
     )  # fmt: skip
     return write_trial(trial, directory)

@@ -42,9 +42,9 @@ def test_the_robot_accepts_the_completed_bundle(completed):
     assert loaded.manifest.estimator == "observer"
     assert {"observer.fmu", "golden.npz", "plant.json"} <= set(loaded.manifest.files)
     assert loaded.manifest.plant_sha256 == read_plant(completed / "plant.json").sha256()
-    held = zipfile.ZipFile(completed / "observer.fmu").namelist()
+    files = zipfile.ZipFile(completed / "observer.fmu").namelist()
     for folder in ("sources/", f"binaries/{HOST}/"):
-        assert any(name.startswith(folder) for name in held)
+        assert any(name.startswith(folder) for name in files)
 
 
 @pytest.mark.slow

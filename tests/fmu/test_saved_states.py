@@ -83,7 +83,7 @@ def _forged(data, old, new):
         ("parameters.length_m", -5.0, "parameters.length_m = -5 lies outside"),
     ],
 )  # fmt: skip
-def test_a_state_with_a_fitting_hash_is_held_to_finite_values_and_bounds(
+def test_a_state_with_a_fitting_hash_needs_finite_values_within_bounds(
     instance, name, value, words
 ):
     data = _serialized(instance)

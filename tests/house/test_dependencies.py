@@ -29,7 +29,7 @@ def normalised(name: str) -> str:
 
 
 def declared(requirements: list[str]) -> set[str]:
-    """Names of requirements; extras of our own stand for what they hold."""
+    """Names of requirements; our extras stand for what they contain."""
     names: set[str] = set()
     for text in requirements:
         name, extras = re.match(r"([\w.-]+)(?:\[([\w,]+)\])?", text).groups()

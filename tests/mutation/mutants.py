@@ -150,11 +150,11 @@ def _walk(node, scope: str, function: bool) -> Iterator[tuple[str, ast.AST, str,
 def mutants(path: Path) -> list[Mutant]:
     """Every mutant of a file."""
     found = _python_mutants(path) if path.suffix == ".py" else _c_mutants(path)
-    seen, out = Counter(), []
+    count, out = Counter(), []
     for line, kind, old, new, span, scope in found:
         identity = (scope, kind, old, new)
-        seen[identity] += 1
-        key = hashlib.sha256("\0".join([*identity, str(seen[identity])]).encode()).hexdigest()[:12]
+        count[identity] += 1
+        key = hashlib.sha256("\0".join([*identity, str(count[identity])]).encode()).hexdigest()[:12]
         out.append(Mutant(path, line, kind, old, new, span, key))
     return out
 

@@ -84,7 +84,7 @@ def test_the_sdk_moves_the_plant_and_sees_it_move(emulating, patient):
                 break
         assert abs(position - goal) < 100
         still, result, _ = patient(handler.read4ByteTxRx, port, 2, 580)
-        assert min(still, 2**32 - still) < 100, "nobody told the second one to move"
+        assert min(still, 2**32 - still) < 100, "the second one got no goal"
     finally:
         port.closePort()
 

@@ -286,14 +286,14 @@ def test_indirect_data_shows_and_sets_what_its_entries_name(bus_of, number, data
     assert read(bus, Register.GOAL_POSITION) == raw
 
 
-def test_entries_in_eeprom_are_locked_and_kept_those_in_ram_are_lost(bus_of):
-    for number, kept in ((LEGACY, True), (PRO_A, True), (X, False)):
+def test_a_reboot_and_a_lock_treat_entries_as_eeprom_or_as_ram(bus_of):
+    for number, eeprom in ((LEGACY, True), (PRO_A, True), (X, False)):
         bus = bus_of(number)
         first = bus.servos[0].model.table.indirect.address
         new = (600).to_bytes(2, "little")
         ask(bus, codec.build_write(1, first, new))
         ask(bus, codec.build(1, Instruction.REBOOT))
-        assert (ask(bus, codec.build_read(1, first, 2))[0][2] == new) is kept
+        assert (ask(bus, codec.build_read(1, first, 2))[0][2] == new) is eeprom
         write(bus, Register.TORQUE_ENABLE, 1)
         refused = ask(bus, codec.build_write(1, first, new))[0][1] == StatusError.ACCESS
-        assert refused is kept
+        assert refused is eeprom

@@ -167,13 +167,13 @@ def test_a_fault_of_the_process_ends_as_its_row_says(toy_bundle, tmp_path, fault
         request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
     row, deviations = row_named(fault, how), []
     for _ in range(_TRIES):
-        seen = run_process(robot, row, row.models[0], 1)
-        judged = judge_case(FaultCase(row, "process", row.models[0], 1), seen, PERIOD_S)
+        run = run_process(robot, row, row.models[0], 1)
+        judged = judge_case(FaultCase(row, "process", row.models[0], 1), run, PERIOD_S)
         assert not judged.safety_violations
-        assert not seen.live
+        assert not run.live
         if fault == "SIGKILL in motion":
-            assert (seen.ended, seen.unheard_ns) == ("killed", 60_000_000)
-            assert "watchdog stopped it" in seen.told
+            assert (run.ended, run.unheard_ns) == ("killed", 60_000_000)
+            assert "watchdog stopped it" in run.told
         if judged.verdict in ("pass", "inconclusive"):
             return
         deviations.append(judged.deviations)
@@ -224,11 +224,13 @@ def call(monkeypatch, out, runner, *more):
 )
 def test_a_signal_in_a_case_ends_the_campaign_and_not_the_case(monkeypatch, number, raised, error):
     monkeypatch.setitem(campaign.RUNNERS, "virtual", ended_at(3, number, error))
-    kept = []
+    counts = []
     with pytest.raises(KeyboardInterrupt) as caught:
-        run_campaign(SimpleNamespace(bundle=BUNDLE), CASES, lambda judged: kept.append(len(judged)))
+        run_campaign(
+            SimpleNamespace(bundle=BUNDLE), CASES, lambda judged: counts.append(len(judged))
+        )
     assert caught.type is raised
-    assert kept == [1, 2]
+    assert counts == [1, 2]
 
 
 def test_a_campaign_that_is_ended_writes_its_verdicts_as_incomplete(monkeypatch, tmp_path, capsys):
