@@ -39,8 +39,8 @@ def test_variables_are_described_by_order_causality_unit_start_and_bounds(toy_fm
     assert list(read) == [
         "time",
         *names(toy.inputs),
-        "example.scale",
         *(f"parameters.{name}" for name in names(toy.parameters)),
+        "example.scale",
         *names(toy.outputs),
         *(f"states.{name}" for name in names(toy.states)),
         "der(states.angle_rad)",
