@@ -51,7 +51,6 @@ def state_machine() -> str:
 
 
 def fault_matrix() -> str:
-    """Return the fault table in Markdown."""
     lines = []
     for title, rows in PARTS.items():
         lines += [f"**{title}**", "", "| fault | how | line | must | proves |"]
