@@ -163,6 +163,11 @@ def test_a_late_reply_is_the_hosts_only_if_the_emulator_waited_in_the_run_queue(
     assert judge_timing(records, 0.017, quiet, quiet, releases).verdict == "fail"
 
 
+def test_a_tick_that_ends_with_its_slot_misses_nothing():
+    assert judge(slow_run(PERIOD_NS - 30_000)).misses == 0
+    assert judge(slow_run(PERIOD_NS - 30_000 + 1)).misses == 1
+
+
 def test_deadlines_that_were_met_beside_a_busy_host_pass():
     records = run_of()
     records["preempted_ns"][100:400] = 2 * MS
