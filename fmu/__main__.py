@@ -13,7 +13,6 @@ from firmware_py.commands.command_table import run_alias  # noqa: E402
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command of the room."""
     return run_alias("fmu", argv)
 
 

@@ -55,7 +55,6 @@ class ModelEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all samples."""
         self._state: Array | None = None
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:

@@ -62,7 +62,6 @@ class Documents(NamedTuple):
 
 
 def fmu_documents(parts: FmuParts, model: StepModel, fmi: FmiVersion) -> Documents:
-    """Make the documents of an FMU."""
     payload_kg = usual_payload_kg(parts)
     u = inputs_from_motion(parts, model, Motion(dof=parts.dof), payload_kg, rows=_STEPS + 1)
     run = reference_run(model, u, PERIOD_S)
@@ -232,7 +231,6 @@ def plant_sections(parts: FmuParts) -> list[Section]:
 
 
 def _run_section(model: StepModel, run: ReferenceRun) -> Section:
-    """Section with the reference run as a figure."""
     units = {v.name: v.unit for v in (*model.inputs, *model.outputs)}
     columns = dict(zip((*run.inputs, *run.outputs), (*run.u.T, *run.y.T), strict=True))
     drawings = []

@@ -52,11 +52,9 @@ class FmuArchive:
 
     @property
     def fmi(self) -> int:
-        """Major version of FMI."""
         return int(self.description.fmiVersion[0])
 
     def binary(self) -> Path:
-        """Return the path of the library for this machine."""
         here = platform_here()
         name = self.description.coSimulation.modelIdentifier
         if (platform := PLATFORMS.get(here)) is not None:
@@ -77,7 +75,6 @@ class FmuArchive:
         return FmpyInstance(self, interface_type)
 
     def close(self) -> None:
-        """Remove the unpacked files."""
         shutil.rmtree(self.directory, ignore_errors=True)
 
     def __enter__(self) -> FmuArchive:
@@ -139,7 +136,6 @@ class FmpyInstance:
         return values
 
     def step(self, step_s: float) -> None:
-        """Advance by one communication step."""
         self.fmu.doStep(self.time_s, step_s)
         self.time_s += step_s
 
@@ -165,7 +161,6 @@ class FmpyInstance:
         return rows
 
     def close(self) -> None:
-        """Free the instance."""
         self.fmu.freeInstance()
 
     def __enter__(self) -> FmpyInstance:

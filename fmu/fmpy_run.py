@@ -392,7 +392,6 @@ def plot_run(run: FmuRun) -> Figure:
 def panels_by_quantity(
     columns: Mapping[str, Array], units: Mapping[str, str]
 ) -> dict[tuple[str, str], list[str]]:
-    """Return the names of the columns in each panel, by quantity and unit."""
     panels: dict[tuple[str, str], list[str]] = {}
     for name in columns:
         panels.setdefault((_quantity(name), units[name]), []).append(name)

@@ -58,7 +58,6 @@ class FmuParts(NamedTuple):
     predictor: Path | None  # ONNX file; may be None beside a plant
 
     def model(self) -> StepModel:
-        """Compose the FMU's model."""
         if self.kind == "predictor":
             return _predictor(self.dof, self.required_predictor())
         model = self.plant_model()
@@ -90,7 +89,6 @@ class FmuParts(NamedTuple):
         )
 
     def description(self) -> str:
-        """Return one sentence that describes the FMU."""
         return DESCRIPTIONS[self.kind].format(dof=self.dof)
 
     def model_card(self) -> str:

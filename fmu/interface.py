@@ -92,7 +92,6 @@ class Interface:
     example: tuple[float, ...] = ()
 
     def of(self, causality: Causality) -> tuple[FmiVariable, ...]:
-        """Return the variables of one causality, in order."""
         return tuple(v for v in self.variables if v.causality == causality)
 
     @property
@@ -102,7 +101,6 @@ class Interface:
 
     @property
     def derivatives(self) -> tuple[FmiVariable, ...]:
-        """Derivatives of the continuous states."""
         return tuple(v for v in self.variables if v.derivative_of is not None)
 
     @property
@@ -238,7 +236,6 @@ def write_equations(model: StepModel, interface: Interface, directory: Path) -> 
 
 
 def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:
-    """Write `variables.c` and `variables.h`."""
     (directory / "variables.h").write_text(
         _header(model, interface, token), encoding="utf-8", newline="\n"
     )

@@ -57,12 +57,10 @@ class Relations:
 
     @property
     def sampled(self) -> bool:
-        """Whether all of the model is sampled."""
         return not self.continuous
 
 
 def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relations:
-    """Derive the relations of a model."""
     symbols = _symbols(model, ca.SX)
     rate, kinks = ca.SX(0, 1), ca.SX(0, 1)
     continuous: tuple[int, ...] = ()

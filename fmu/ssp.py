@@ -73,7 +73,6 @@ SSV: Final = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 def system_structure(
     name: str, models: Mapping[str, StepModel], payload_kg: float, generated: str
 ) -> bytes:
-    """Return SystemStructure.ssd."""
     for prefix, space in (("ssd", SSD), ("ssc", SSC), ("ssv", SSV)):
         ET.register_namespace(prefix, space)
     root = ET.Element(

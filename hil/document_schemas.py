@@ -63,7 +63,6 @@ DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
 def schema_files() -> dict[str, str]:
-    """Text of each schema by the name of its file."""
     structs = {kind.__name__: kind for kind in _structs(msgspec.Struct)}
     files = {}
     for name, document in DOCUMENTS.items():

@@ -9,6 +9,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", "build/cache/hypothesis")  # not in the root
 
 import casadi as ca
+import hypothesis
 import numpy as np
 import pytest
 
@@ -18,6 +19,10 @@ from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta, TrialSet
 from tests.compiler_options import pytest_runtest_protocol  # noqa: F401 (hook of pytest)
 from tests.durations import pytest_terminal_summary  # noqa: F401 (hook of pytest)
+
+if hypothesis.settings.default.deadline is not None:  # tests/mutation has its own settings
+    hypothesis.settings.register_profile("tests", deadline=None)  # a busy machine is no failure
+    hypothesis.settings.load_profile("tests")
 
 STEP_S, PERIOD_S, REST = 0.017, 4.352, 20
 OFFSET_M, LENGTH_M, WIDTH_M = 0.06, 0.95, 0.15

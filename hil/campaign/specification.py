@@ -63,7 +63,6 @@ class Draw(NamedTuple):
 
 
 def read_spec(path: Path) -> CampaignSpec:
-    """Read and check the file of a campaign."""
     remedy = "see docs/campaigns.md"
     raw = convert(
         read_toml(path, f"write one, {remedy}"), CampaignSpec, path, "is no campaign", remedy

@@ -95,7 +95,6 @@ class ResultStore:
             yield
 
     def path(self, key: str) -> Path:
-        """Return the path of a result."""
         return self.directory / "results" / key[:2] / f"{key}.json"
 
     def read(self, key: str) -> CaseRecord | None:
@@ -153,7 +152,6 @@ class ResultStore:
         return [cost for cost in costs if cost.code == code]
 
     def _failures(self, key: str) -> int:
-        """Number of failures of a case."""
         numbers = itertools.count(1)
         return next(n for n in numbers if not self._failure_path(key, n).exists()) - 1
 

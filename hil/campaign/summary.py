@@ -92,7 +92,6 @@ def write_summary(rows: Sequence[SummaryRow], path: Path) -> None:
 def campaign_document(
     spec: CampaignSpec, maker: CaseMaker, rows: Sequence[SummaryRow], last_run: dict[str, int]
 ) -> CampaignDocument:
-    """Return the contents of `campaign.json`."""
     examples: dict[tuple[str, str], str] = {}
     for row in rows:
         examples.setdefault((row.state, row.sentence), row.key)

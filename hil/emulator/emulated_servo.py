@@ -255,7 +255,6 @@ class EmulatedServo:
         return StatusError.NONE
 
     def _redirect(self, address: int, data: bytes) -> int:
-        """Write indirect addresses."""
         end = self._table.indirect.address + 2 * self._table.indirect.entries
         if address < self._table.ram_start and self.torque_on:
             return StatusError.ACCESS

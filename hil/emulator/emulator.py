@@ -118,7 +118,6 @@ class TruthLog:
         self._tip_m.extend(self._physics.tip_m.tolist())
 
     def truth(self) -> Truth:
-        """Return the record so far."""
         return Truth(np.array(self._time_ns, np.int64), np.array(self._tip_m).reshape(-1, 3))
 
 
@@ -219,7 +218,6 @@ class Emulator:
         self.pid = self._process.pid or 0
 
     def stop(self) -> EmulatorOutcome:
-        """End the process and return its record."""
         self._pipe.send(None)
         outcome: EmulatorOutcome = self._pipe.recv()
         return outcome

@@ -154,7 +154,6 @@ class VirtualTransport:
             heapq.heappop(self._pending)
 
     def close(self) -> None:
-        """Drop all pending bytes."""
         self._pending.clear()
 
 

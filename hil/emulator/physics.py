@@ -101,5 +101,4 @@ class FmuPhysics:
         self._tick.run(step_s)
 
     def parameter(self, name: str) -> float:
-        """Return a plant parameter."""
         return float(self.fmu.get([f"parameters.{name}"])[0])

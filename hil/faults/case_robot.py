@@ -45,7 +45,6 @@ class CaseRobot:
 
 
 def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> RobotConfig:
-    """Return the configuration of a case's robot."""
     setup = row.setup
     models = [number] * robot.dof
     if setup.second_model == "declared":

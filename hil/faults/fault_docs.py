@@ -67,7 +67,6 @@ def transitions() -> str:
 
 
 def fault_matrix() -> str:
-    """Return the fault table in Markdown."""
     lines = []
     for title, rows in PARTS.items():
         lines += [f"### {title}", "", "| fault | how | line | must | proves |"]

@@ -45,7 +45,6 @@ class FaultCase:
 
     @property
     def name(self) -> str:
-        """Name for reports."""
         row = self.row
         return f"{row.fault}, {row.how} ({self.line}, {MODELS[self.number].name}, seed {self.seed})"
 

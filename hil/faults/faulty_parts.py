@@ -258,7 +258,6 @@ class GoalProgram:
         return taken
 
     def send(self, data: bytes) -> None:
-        """Answer a status."""
         if self.gone:
             return
         tick = msgspec.json.decode(data, type=StatusMessage).tick

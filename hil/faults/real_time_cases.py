@@ -154,7 +154,6 @@ class ServoProcess:
         self._pipe.send(port)
 
     def stop(self) -> ServoLog:
-        """End the process and return the servos' record."""
         self._pipe.send(None)
         servo_log: ServoLog = self._pipe.recv()
         return servo_log

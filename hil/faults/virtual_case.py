@@ -61,7 +61,6 @@ class _DeafLine(Line):
 
 
 def slots_of(row: FaultRow) -> int:
-    """Return the number of slots that a row's motion takes."""
     long = row.setup.replug_s or row.setup.through_pulse is not None
     return SLOTS if long or (row.must.within or 0) > _SOON_TICKS else FEWER_SLOTS
 

@@ -63,7 +63,6 @@ class ProbeRecord:
         return self.privileged and len(self.wake_ns) > 0
 
     def jitter(self) -> ReferenceJitter:
-        """Return the percentiles of the lateness."""
         return ReferenceJitter.of(
             self.lateness_ns, period_ns=PROBE_PERIOD_NS, above_the_loop=self.proves
         )
@@ -112,7 +111,6 @@ class Probe:
             self._privileged: bool = self._pipe.recv()
 
     def stop(self) -> ProbeRecord:
-        """End the probe and return its record."""
         self._pipe.send(None)
         rows: Nanoseconds = self._pipe.recv()
         wake, lateness, own = np.ascontiguousarray(rows.T)

@@ -76,8 +76,6 @@ def scheduling_policy() -> str:
 
 
 def host_environment() -> HostEnvironment:
-    """Describe this machine."""
-
     def fact(path: str) -> str:
         try:
             return Path(path).read_text(encoding="ascii").strip()

@@ -88,7 +88,6 @@ class TickBudget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def plan_times(plan: Plan) -> PlanTimes:
-    """Return the times of one tick by a bus plan."""
     return PlanTimes(
         plan=plan.name,
         transmission_ns=round((plan.read_s - plan.pause_s) * 1e9),

@@ -1,6 +1,5 @@
-"""Directional and adjoint derivatives of an FMU, against differences and python-control."""
+"""Directional and adjoint derivatives of an FMU, against central differences."""
 
-import control
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
@@ -159,34 +158,11 @@ def test_what_has_no_derivative_is_refused(moving, archive):
         ("in_range", "torque_nm"), ("states.angle_rad", "torque_nm"),
         ("tip_x_m", "tip_z_m"), ("tip_x_m", "der(states.angle_rad)"),
     ):  # fmt: skip
-        told = len(moving.messages)
+        logged = len(moving.messages)
         with pytest.raises(FMICallException):
             jacobian(moving.fmu, archive, [unknown], [known])
-        assert len(moving.messages) == told + 1
+        assert len(moving.messages) == logged + 1
     with pytest.raises(FMICallException):
         moving.fmu.getDirectionalDerivative(
             references(archive, ["tip_x_m"]), references(archive, ["torque_nm"]), [np.nan]
         )
-
-
-def test_the_linear_system_is_that_of_python_control(moving, archive, toy):
-    """A, B, C, D from the FMU against control.linearize of the same equations."""
-    x, p = state_of(moving, toy), toy.parameter_values()
-    rates = ["der(states.angle_rad)", "der(states.rate_rad_s)"]
-    inputs, outputs = names(toy.inputs), ["tip_x_m", "tip_z_m"]
-    a, b = (jacobian(moving.fmu, archive, rates, known) for known in (CONTINUOUS, inputs))
-    c, d = (jacobian(moving.fmu, archive, outputs, known) for known in (CONTINUOUS, inputs))
-    system = control.nlsys(
-        lambda t, s, u, q: np.asarray(toy.rate([*s, *x[2:]], u, p)).ravel()[:2],
-        lambda t, s, u, q: np.asarray(toy.output([*s, *x[2:]], u, p)).ravel()[:2],
-        inputs=2, outputs=2, states=2,
-    )  # fmt: skip
-    expected = control.linearize(system, x[:2], [1.5, 0.25])
-    for found, matrix in zip(
-        (a, b, c, d), (expected.A, expected.B, expected.C, expected.D), strict=True
-    ):
-        np.testing.assert_allclose(found, matrix, rtol=0, atol=5e-5)  # one-sided differences
-    frequency = np.array([0.5, 3.0, 20.0])
-    np.testing.assert_allclose(
-        control.ss(a, b, c, d)(1j * frequency), expected(1j * frequency), rtol=1e-4, atol=1e-5
-    )

@@ -74,9 +74,9 @@ def test_fmpy_takes_the_inputs_as_its_input_file(carrying, run, toy):
 
 @pytest.mark.parametrize(
     "damaged",
-    [lambda text: text.replace("0.", "nan", 1), lambda text: "\n" + text, lambda _: "",
+    [lambda text: text.replace("0.", "nan", 1), lambda text: "\n" + text,
      lambda text: text + "1" * 200_000, lambda text: text + "\n" * 1_000_000],
-    ids=["nan", "no header", "empty", "long field", "large"],
+    ids=["nan", "no header", "long field", "large"],
 )  # fmt: skip
 def test_a_damaged_table_is_refused(carrying, damaged):
     with FmuArchive(carrying) as archive:
@@ -86,7 +86,7 @@ def test_a_damaged_table_is_refused(carrying, damaged):
             read_reference_run(archive.directory)
 
 
-def test_the_page_shows_a_run_and_every_equation_and_parameter_and_refers_to_nothing_outside():
+def test_the_page_shows_a_run_every_equation_and_parameter_and_refers_to_nothing_outside(toy):
     plant = read_plant()
     parts = FmuParts("observer", 1, plant, None)
     model = parts.model()
@@ -96,39 +96,14 @@ def test_the_page_shows_a_run_and_every_equation_and_parameter_and_refers_to_not
     assert all(f"Effect: {name}" in page for name in plant.effects)
     assert "τ_root" in page
     assert all(f'<th scope="row">{name}</th>' in page for name in plant.parameters)
+    parts_of_toy = documentation_page(interface_of(toy, "none"), "<a counter>")
+    assert "&lt;a counter&gt;" in parts_of_toy
     links = re.findall(r'(?:href|src)="([^"]*)"', page)
     assert all(link.startswith(("#", "data:")) for link in links)
-    assert "docs/" not in page and "models." not in page
     schema = etree.XMLSchema(etree.parse(str(SCHEMAS / "fmi3" / "fmi3TerminalsAndIcons.xsd")))
     schema.assertValid(etree.fromstring(documents.files["terminalsAndIcons/terminalsAndIcons.xml"]))
     icon = documents.files["terminalsAndIcons/icon.png"]
     assert struct.unpack(">II", icon[16:24]) == (128, 128)
-
-
-@pytest.mark.parametrize(
-    ("plant", "follows"),
-    [(None, {"di": "payload_kg"}), ("xl330_pendulum", {"current_1_a": "goal_1_rad"})],
-    ids=["link on a cascade", "pendulum on a duty cycle"],
-)
-def test_the_page_names_the_outputs_that_follow_a_changed_input(plant, follows):
-    """What the page says is what the model does before the next step."""
-    read = read_plant(EXAMPLES / f"{plant}.toml") if plant else read_plant()
-    model = read.step_model(1, "twin")
-    page = documentation_page(interface_of(model, "none"), "")
-    text = re.search("These inputs act within .*? Whatever", page)[0]
-    acting = {}
-    for inputs, outputs in re.findall(r"(?:point:|;) ([^;:]*?) on ([^;:]*?)(?=[;.])", text):
-        acting |= dict.fromkeys(inputs.split(", "), outputs.split(", "))
-    outputs = np.array(names(model.outputs))
-    u = np.array([v.start for v in model.inputs]) + 0.01
-    x, p = model.initial(u, model.parameter_values()), model.parameter_values()
-    before = np.asarray(model.output(x, u, p)).ravel()
-    for k, name in enumerate(names(model.inputs)):
-        after = np.asarray(model.output(x, u + 0.2 * (np.arange(len(u)) == k), p)).ravel()
-        assert set(outputs[after != before]) <= set(acting.get(name, ()))
-    for output, name in follows.items():
-        assert output in acting[name]
-    assert ("current" in text) == ("current_1_a" in follows)
 
 
 def test_the_example_of_a_twin_is_the_studys_motion_and_holds_the_payload():

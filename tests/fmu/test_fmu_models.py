@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import PERIOD_S, feature_names
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
-from fmu import fmu_models
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmpy_run import inputs_from_motion
 from fmu.fmu_checker import varying_steps_s
@@ -101,11 +99,10 @@ def test_variables_have_the_public_names_and_causalities(built):
 
 @pytest.mark.parametrize(
     "card",
-    ["[" * 100_000, '{"kind": [], "dof": 1}', '{"kind": "twin", "dof": 1e999}', "[]",
-     '{"kind": "twin", "dof": 1000000000}'],
-    ids=["deep", "list", "infinite", "no object", "many joints"],
-)  # fmt: skip
-def test_the_card_of_a_foreign_fmu_makes_it_none_of_ours(tmp_path, card):
+    ["[" * 100_000, '{"kind": [], "dof": 1}', '{"kind": "twin", "dof": 1000000000}'],
+    ids=["deep", "list", "many joints"],
+)
+def test_the_card_of_a_foreign_fmu_is_ignored(tmp_path, card):
     (tmp_path / "fmu.json").write_text(card)
     assert embedded_parts(tmp_path) is None
 
@@ -132,7 +129,7 @@ def test_the_prediction_of_the_fmu_is_that_of_onnxruntime(bundle, fmu_of):
 
 
 def test_the_observer_follows_the_twin_of_its_plant(bundle, fmu_of):
-    """Fed with the twin's angle and current it finds the twin's tip: the same link, measured."""
+    """From the twin's angle and current it estimates the twin's tip."""
     dof = read_manifest(bundle).dof
     twin = read_parts("twin", dof, bundle)
     plant = CompiledModel(twin.plant.step_model(dof, "twin"))
@@ -146,16 +143,13 @@ def test_the_observer_follows_the_twin_of_its_plant(bundle, fmu_of):
     with FmuArchive(path) as archive, archive.instance() as instance:
         instance.set({"parameters.payload_known_kg": payload_kg})
         sensed = np.column_stack([columns[name] for name in names(model.inputs)])
-        seen = instance.run(names(model.inputs), sensed, np.full(len(sensed), PERIOD_S), tip)[1:]
+        estimated = instance.run(names(model.inputs), sensed, np.full(len(sensed), PERIOD_S), tip)[
+            1:
+        ]
     actual = np.column_stack([columns[name] for name in tip])
-    distance_m = np.linalg.norm(seen - actual, axis=1)[len(u) // 4 :]
+    distance_m = np.linalg.norm(estimated - actual, axis=1)[len(u) // 4 :]
     deflection_m = np.ptp(actual, axis=0).max()
     assert np.sqrt(np.mean(distance_m**2)) < 0.01 * deflection_m
-
-
-def test_a_plant_without_the_predictors_features_is_refused(bundle_1dof, toy):
-    with pytest.raises(InputError, match="has no output angle_1_rad, which the predictor needs"):
-        fmu_models._with_predictor(toy, read_parts("twin", 1, bundle_1dof))
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import fmi2EventInfo
 from scipy.integrate import solve_ivp
 
 from firmware_py.core.signals import PERIOD_S
@@ -22,8 +23,8 @@ TIME_S = PERIOD_S * np.arange(COUNT + 1)
 TORQUE_NM = 4.8 * np.sin(2 * np.pi * TIME_S / 0.7)
 
 
-def held(toy, torque_nm):
-    """Input table of FMPy: the torque of a period is held over it, the payload constant."""
+def inputs(toy, torque_nm):
+    """Input table of FMPy: the torque is constant over a period, the payload throughout."""
     rows = [(TIME_S[0], torque_nm[0], 0.25)]
     for k in range(1, COUNT + 1):
         rows += [(TIME_S[k], torque_nm[k - 1], 0.25), (TIME_S[k], torque_nm[k], 0.25)]
@@ -32,7 +33,7 @@ def held(toy, torque_nm):
 
 def run(path, toy, interface_type, torque_nm=TORQUE_NM, **options):
     return fmpy.simulate_fmu(
-        str(path), fmi_type=interface_type, input=held(toy, torque_nm), relative_tolerance=1e-9,
+        str(path), fmi_type=interface_type, input=inputs(toy, torque_nm), relative_tolerance=1e-9,
         stop_time=COUNT * PERIOD_S, output_interval=PERIOD_S, output=names(toy.outputs),
         record_events=False, **options,
     )  # fmt: skip
@@ -100,6 +101,23 @@ def test_time_events_come_once_a_period(exchange):
     go_to(exchange, 3.5 * PERIOD_S)
     assert update(exchange)[5] == pytest.approx(4 * PERIOD_S)  # an event of the host: no sample
     assert exchange.get(["steps"]) == 3
+    go_to(exchange, 8 * PERIOD_S)  # a host that passed over samples gets the next one in time
+    assert update(exchange)[5] == pytest.approx(9 * PERIOD_S)
+    assert exchange.get(["steps"]) == 4
+
+
+def test_an_event_writes_every_value_that_it_returns(exchange):
+    """A host need not clear them before the call."""
+    fmu = exchange.fmu
+    if exchange.fmi == 2:
+        info = fmi2EventInfo(1, 1, 1, 1, 0, -1.0)
+        fmu.fmi2NewDiscreteStates(fmu.component, ctypes.byref(info))
+        found = [getattr(info, name) for name, _ in info._fields_]
+    else:
+        values = [*(ctypes.c_bool(True) for _ in range(4)), ctypes.c_bool(), ctypes.c_double(-1.0)]
+        fmu.fmi3UpdateDiscreteStates(fmu.component, *map(ctypes.byref, values))
+        found = [v.value for v in values]
+    assert found == [0, 0, 0, 0, 1, pytest.approx(PERIOD_S)]
 
 
 def test_an_indicator_changes_its_sign_at_the_saturation(exchange):
@@ -129,9 +147,6 @@ def test_states_have_nominals_and_rates(exchange, toy):
 def test_calls_of_the_other_interface_type_are_refused(exchange, archive):
     state = exchange.fmu.getFMUState()
     with archive.instance() as stepping:
-        stepping.initialize()
-        for call in (stepping.fmu.terminate, stepping.fmu.reset):
-            call()
         stepping.initialize()
         with pytest.raises(FMICallException):
             stepping.fmu.setFMUState(state)

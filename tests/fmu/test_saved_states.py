@@ -32,10 +32,10 @@ def _serialized(instance):
 
 def _refused(instance, data):
     """The sentence with which the FMU refuses bytes."""
-    told = len(instance.messages)
+    logged = len(instance.messages)
     with pytest.raises(FMICallException, match="status 3"):
         instance.fmu.deserializeFMUState(data)
-    assert len(instance.messages) == told + 1
+    assert len(instance.messages) == logged + 1
     return instance.messages[-1]
 
 
@@ -53,11 +53,11 @@ def test_every_flipped_bit_is_noticed(instance, archive):
         wrong = bytearray(data)
         wrong[bit // 8] ^= 1 << bit % 8
         assert "saved state" in _refused(instance, bytes(wrong))
-    kept = _go_on(instance)
+    expected = _go_on(instance)
     with archive.instance() as other:
         other.fmu.setFMUState(other.fmu.deserializeFMUState(data))
         other.time_s = time_s
-        np.testing.assert_array_equal(_go_on(other), kept)
+        np.testing.assert_array_equal(_go_on(other), expected)
 
 
 def _hash(data):
@@ -83,7 +83,7 @@ def _forged(data, old, new):
         ("parameters.length_m", -5.0, "parameters.length_m = -5 lies outside"),
     ],
 )  # fmt: skip
-def test_a_state_with_a_fitting_hash_is_held_to_finite_values_and_bounds(
+def test_a_state_with_a_fitting_hash_needs_finite_values_within_bounds(
     instance, name, value, words
 ):
     data = _serialized(instance)

@@ -1,18 +1,15 @@
 """SSP package: its structure, and a run in FMPy and in libcosim."""
 
-import xml.etree.ElementTree as ET
 import zipfile
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
 
-from firmware_py.core.signals import PERIOD_S, tip_names
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmu_models import read_parts
 from fmu.packaging import HOST
-from fmu.ssp import PATHS, build_ssp, system_structure, tip_controller
-from models.plant.step_model import Variable
+from fmu.ssp import PATHS, build_ssp
 
 PAYLOAD_KG = 1.5
 STEPS = 300
@@ -23,42 +20,6 @@ def package(bundle_1dof, tmp_path_factory):
     twin, observer = (read_parts(kind, 1, bundle_1dof) for kind in ("twin", "observer"))
     path = tmp_path_factory.mktemp("ssp") / "link_1dof.ssp"
     return build_ssp(twin, observer, path, payload_kg=PAYLOAD_KG, platforms=(HOST,))
-
-
-def with_signals(inputs, outputs):
-    """A model in name only."""
-    return SimpleNamespace(
-        inputs=[Variable(name, "1") for name in inputs],
-        outputs=[Variable(name, "1") for name in outputs],
-    )
-
-
-@pytest.mark.parametrize("dof", [1, 2])
-def test_every_input_that_another_component_gives_is_connected_once(dof):
-    joints = range(1, dof + 1)
-    goals = [f"goal_{j}_rad" for j in joints]
-    measured = [f"{what}_{j}_{unit}" for what, unit in (("angle", "rad"), ("current", "a"))
-                for j in joints]  # fmt: skip
-    models = {
-        "controller": tip_controller(dof),
-        "twin": with_signals([*goals, "payload_kg"], [*measured, *tip_names()]),
-        "observer": with_signals([*measured, "age_s"], [*tip_names(), "payload_kg"]),
-    }
-    root = ET.fromstring(system_structure("link", models, 1.0, "2026-01-01T00:00:00Z"))
-    ends = [
-        (c.get("endElement"), c.get("endConnector"))
-        for c in root.iter()
-        if c.tag.endswith("}Connection")
-    ]
-    wanted = {(path, v.name) for path, m in models.items() for v in m.inputs}
-    assert sorted(ends) == sorted(wanted - {("twin", "payload_kg"), ("observer", "age_s")})
-    # An importer may give an input that is not connected the signal of another one.
-    listed = [
-        (component.get("name"), connector.get("name"))
-        for component in root.iter() if component.tag.endswith("}Component")
-        for connector in component.iter() if connector.get("kind") == "input"
-    ]  # fmt: skip
-    assert sorted(listed) == sorted(ends)
 
 
 def test_fmpy_runs_the_system(package):

@@ -14,8 +14,8 @@ import pytest
 
 from dropstitch.__main__ import main
 from models.trials.files import write_trial
-from tests.house.each_file import ROOT
 from tests.house.page_commands import PROGRAM, commands, parse
+from tests.house.sources import ROOT
 
 BUNDLE = ROOT / "docs" / "notebooks" / "bundle_1dof"
 
@@ -62,7 +62,7 @@ def test_a_command_of_the_guides_runs(line, place, capsys):
     arguments = QUICK_COMMANDS[line]
     place(parse(arguments))
     code = main(arguments)
-    said = capsys.readouterr()
+    output = capsys.readouterr()
     # The verdict of doctor is about this machine.
-    assert code in ((0, 1) if arguments[0] == "doctor" else (0,)), said.err or said.out
-    assert said.out.strip()
+    assert code in ((0, 1) if arguments[0] == "doctor" else (0,)), output.err or output.out
+    assert output.out.strip()

@@ -26,9 +26,9 @@ RECIPES = (ROOT / "docs" / "guides" / "extend.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## ([^\n]+)\n(.*?)(?=^## |\Z)", RECIPES, re.MULTILINE | re.DOTALL))
 
 
-def code(section, space=None):
+def code(section):
     """Names that the Python blocks of a section leave behind."""
-    space = {} if space is None else space
+    space: dict[str, object] = {}
     for block in re.findall(r"```python\n(.*?)```", SECTIONS[section], re.DOTALL):
         exec(compile(block, f"extend.md, {section}", "exec"), space)
     return space
@@ -72,14 +72,6 @@ def test_the_drive_follows_its_rate_and_has_exact_derivatives(monkeypatch, tmp_p
     assert slopes[:, :, 0] == pytest.approx((high - low) / 2e-4, rel=1e-4, abs=1e-9)
 
 
-@pytest.fixture
-def npz_importer(monkeypatch):
-    reader = code("Add an importer")["read_npz"]
-    monkeypatch.setitem(recordings.READERS, "npz", reader)
-    command = importlib.import_module("models.commands.import_")
-    monkeypatch.setattr(command, "KINDS", tuple(recordings.READERS))
-
-
 MAP = """
 step_s = 0.017
 [trial]
@@ -96,7 +88,10 @@ link_width_m = 0.15
 """
 
 
-def test_the_importer_makes_a_trial(npz_importer, tmp_path):
+def test_the_importer_makes_a_trial_and_refuses_a_truncated_file(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(recordings.READERS, "npz", code("Add an importer")["read_npz"])
+    command = importlib.import_module("models.commands.import_")
+    monkeypatch.setattr(command, "KINDS", tuple(recordings.READERS))
     time_s = 0.017 * np.arange(200)
     angle_rad = 0.5 * np.sin(np.maximum(time_s - 0.5, 0.0))
     np.savez(
@@ -108,13 +103,8 @@ def test_the_importer_makes_a_trial(npz_importer, tmp_path):
     assert dropstitch(["import", str(tmp_path / "run.npz"), *arguments]) == 0
     trial = read_trial(tmp_path / "out" / "run.csv")
     assert np.allclose(trial.angle_rad[:, 0], angle_rad[: len(trial)], atol=1e-12)
-
-
-def test_the_importer_refuses_a_truncated_file(npz_importer, tmp_path, capsys):
-    np.savez(tmp_path / "run.npz", time_s=np.arange(200.0))
     whole = (tmp_path / "run.npz").read_bytes()
     (tmp_path / "run.npz").write_bytes(whole[: len(whole) // 2])
-    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
-    arguments = ["--as", "npz", "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")]
+    arguments[-1] = str(tmp_path / "again")
     assert dropstitch(["import", str(tmp_path / "run.npz"), *arguments]) == 2
     assert "run.npz" in capsys.readouterr().err

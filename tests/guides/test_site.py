@@ -11,7 +11,7 @@ import re
 import pytest
 from sphinx.cmd.build import main as sphinx_build
 
-from tests.house.each_file import ROOT
+from tests.house.sources import ROOT
 
 pytestmark = pytest.mark.slow
 

@@ -18,12 +18,13 @@ import signal
 import socket
 import sys
 
-ROOMS = ("firmware_py", "models", "fmu", "hil", "dropstitch")
+from tests.house.sources import ROOMS
+
 FAULTS = {"hil.faults.fault_table", "hil.faults.fault_docs", "hil.faults.campaign"}
 """The table of faults names signals of POSIX; `faults` and what writes its page read it."""
 
 ABSENT_MODULES = ("fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty")
-KEPT_SIGNALS = ("SIGABRT", "SIGFPE", "SIGILL", "SIGINT", "SIGSEGV", "SIGTERM")
+PRESENT_SIGNALS = ("SIGABRT", "SIGFPE", "SIGILL", "SIGINT", "SIGSEGV", "SIGTERM")
 ABSENT_IN_OS = (
     "fchmod", "fork", "forkpty", "getegid", "geteuid", "getgid", "getuid", "killpg", "mkfifo",
     "nice", "openpty", "pread", "setsid", "statvfs", "sysconf", "uname", "wait4", "waitpid",
@@ -39,7 +40,6 @@ LINUX_ONLY = (
 
 
 def modules() -> list[str]:
-    """Names of the modules of every room."""
     found = []
     for room in ROOMS:
         found += [m.name for m in pkgutil.walk_packages([room], f"{room}.")]
@@ -47,7 +47,6 @@ def modules() -> list[str]:
 
 
 def errors_of_imports() -> dict[str, str]:
-    """What each import raises, by module."""
     errors = {}
     for name in modules():
         try:
@@ -64,7 +63,7 @@ def become_windows() -> None:
     for name in absent:
         delattr(os, name)
     for name in [n for n in vars(signal) if n.startswith("SIG") and n[3] != "_"]:
-        if name not in KEPT_SIGNALS:
+        if name not in PRESENT_SIGNALS:
             delattr(signal, name)
     for name in ABSENT_IN_SOCKET:
         delattr(socket, name)
@@ -77,14 +76,13 @@ def become_windows() -> None:
 
 def call(line: str) -> tuple[int, str]:
     """Exit code and stderr of a command."""
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+    error = io.StringIO()
+    with contextlib.redirect_stderr(error), contextlib.redirect_stdout(io.StringIO()):
         code = importlib.import_module("dropstitch.__main__").main(line.split())
-    return code, said.getvalue()
+    return code, error.getvalue()
 
 
 def main() -> None:
-    """Print what an emulated Windows makes of the rooms."""
     errors_of_imports()
     become_windows()
     imports = errors_of_imports()

@@ -24,7 +24,7 @@ from typing import Any, Final
 from dropstitch.__main__ import main
 from firmware_py.commands.command_table import COMMANDS
 from firmware_py.core import console
-from tests.house.each_file import ROOT
+from tests.house.sources import ROOT
 
 PROGRAM: Final = "dropstitch"
 
@@ -39,7 +39,6 @@ OUTPUTS: Final = ("out", "link", "key")
 
 
 def blocks(text: str) -> list[str]:
-    """Shell blocks of a page."""
     return re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
@@ -76,7 +75,6 @@ def made_by_the_demo() -> frozenset[str]:
 
 @functools.cache
 def targets_of_make() -> frozenset[str]:
-    """Targets that `make` has a name for."""
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     (declared,) = re.findall(r"^\.PHONY: (.*)$", makefile, re.MULTILINE)
     return frozenset(declared.split())
@@ -84,7 +82,6 @@ def targets_of_make() -> frozenset[str]:
 
 @functools.cache
 def extras() -> frozenset[str]:
-    """Extras of the project."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     return frozenset(project["optional-dependencies"])
 

@@ -7,11 +7,11 @@ import re
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.house.sources import ROOT, python_files, tree_of
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = {
     "firmware_py": ("record", "live", "trust", "completion"),
@@ -29,7 +29,7 @@ def normalised(name: str) -> str:
 
 
 def declared(requirements: list[str]) -> set[str]:
-    """Names of requirements; extras of our own stand for what they hold."""
+    """Names of requirements; our extras stand for what they contain."""
     names: set[str] = set()
     for text in requirements:
         name, extras = re.match(r"([\w.-]+)(?:\[([\w,]+)\])?", text).groups()
@@ -41,9 +41,9 @@ def declared(requirements: list[str]) -> set[str]:
     return names
 
 
-def imported(path: Path) -> set[str]:
+def imported(path) -> set[str]:
     """Top packages that a file imports, wherever in it."""
-    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    nodes = list(ast.walk(tree_of(path)))
     names = [a.name for n in nodes if isinstance(n, ast.Import) for a in n.names]
     names += [n.module for n in nodes if isinstance(n, ast.ImportFrom) and not n.level]
     return {name.partition(".")[0] for name in names} - EXTRAS.keys() - sys.stdlib_module_names
@@ -56,7 +56,7 @@ def test_what_a_room_imports_is_declared(room):
         known |= declared(PROJECT["optional-dependencies"][extra])
     missing = {
         f"{path.relative_to(ROOT)}: {name}"
-        for path in (ROOT / room).rglob("*.py")
+        for path in python_files(room)
         for name in imported(path)
         if known.isdisjoint(normalised(d) for d in DISTRIBUTIONS.get(name, [name]))
     }

@@ -10,12 +10,9 @@ import sys
 import pytest
 
 from firmware_py.commands.command_table import COMMANDS
-from tests.house import emulated_windows
-from tests.house.each_file import ROOT, each_file, tree_of
+from tests.house.sources import ROOMS, ROOT, python_files, tree_of
 
 pytestmark = pytest.mark.slow
-
-SOURCES = [p for room in emulated_windows.ROOMS for p in sorted((ROOT / room).rglob("*.py"))]
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +32,16 @@ def test_every_module_is_imported_on_windows(windows):
 
 def test_every_command_has_help_on_windows(windows):
     assert len(windows["helps"]) > 20
-    assert {c: said for c, (code, said) in windows["helps"].items() if code} == {}
+    assert {c: error for c, (code, error) in windows["helps"].items() if code} == {}
 
 
 def test_what_needs_linux_says_so_in_one_sentence(windows):
-    for line, (code, said) in windows["refusals"].items():
-        assert (code, said.count("\n")) == (2, 1), line
-        assert f"{line.split()[0]}: runs on Linux only, and this is Windows; use a machine" in said
-
-
-def test_every_command_that_needs_linux_was_tried():
-    tried = {line.split()[0] for line in emulated_windows.LINUX_ONLY}
-    assert {c.name for c in COMMANDS if c.linux_only} == tried
+    assert {line.split()[0] for line in windows["refusals"]} == {
+        c.name for c in COMMANDS if c.linux_only
+    }
+    for line, (code, error) in windows["refusals"].items():
+        assert (code, error.count("\n")) == (2, 1), line
+        assert f"{line.split()[0]}: runs on Linux only, and this is Windows" in error
 
 
 def as_text_without_encoding(node: ast.AST) -> bool:
@@ -61,6 +56,10 @@ def as_text_without_encoding(node: ast.AST) -> bool:
     return len(node.args) < 2 or "b" not in ast.literal_eval(node.args[1])
 
 
-@each_file(SOURCES)
-def test_text_is_read_and_written_with_an_encoding(path):
-    assert not [n.lineno for n in ast.walk(tree_of(path)) if as_text_without_encoding(n)]
+def test_text_is_read_and_written_with_an_encoding():
+    assert not [
+        (path, node.lineno)
+        for path in python_files(*ROOMS)
+        for node in ast.walk(tree_of(path))
+        if as_text_without_encoding(node)
+    ]

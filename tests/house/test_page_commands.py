@@ -7,8 +7,8 @@ import pytest
 
 from firmware_py.commands.command_table import COMMANDS
 from firmware_py.core.console import chosen_command
-from tests.house.each_file import ROOT
 from tests.house.page_commands import PageCommands, blocks, commands, targets_of_make
+from tests.house.sources import ROOT
 
 PAGES = sorted(
     str(path.relative_to(ROOT))
@@ -30,7 +30,7 @@ OWN_FILES = {
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_command_of_a_page_can_be_given_as_printed(page):
+def test_every_command_of_a_page_runs_as_printed(page):
     check = PageCommands(OWN_FILES.get(page, ()))
     failures = []
     for words in commands((ROOT / page).read_text(encoding="utf-8")):
@@ -60,7 +60,7 @@ def test_commands_that_the_prose_names_are_there():
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "words"),
     [
         ("dropstitch plan circle --plant build/plant.json --out x.json", "parser refuses"),
         ("dropstitch evaluate build/trails --plant build/plant.json", "makes build/trails"),
@@ -72,7 +72,7 @@ def test_commands_that_the_prose_names_are_there():
         ("wget x", "no known program"),
     ],
 )
-def test_a_command_that_would_fail_is_named(line, said):
-    (words,) = commands(f"```sh\n{line}   # as printed\n```\n")
-    with pytest.raises(AssertionError, match=said):
-        PageCommands().check(words)
+def test_a_command_that_would_fail_is_named(line, words):
+    (command,) = commands(f"```sh\n{line}   # as printed\n```\n")
+    with pytest.raises(AssertionError, match=words):
+        PageCommands().check(command)

@@ -8,9 +8,8 @@ import json
 import pytest
 
 from hil.document_schemas import DOCUMENTS, main, schema_files
-from tests.house.each_file import ROOT, tree_of
+from tests.house.sources import ROOMS, ROOT, python_files, tree_of
 
-ROOMS = ("firmware_py", "models", "fmu", "hil")
 REMEDY = "python -m hil.document_schemas docs/schema"
 
 
@@ -21,43 +20,23 @@ def written(directory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(schema_files()))
-def test_a_schema_file_is_that_of_its_document(name):
-    file = ROOT / "docs" / "schema" / name
-    assert file.is_file() and file.read_text(encoding="utf-8") == schema_files()[name], REMEDY
-
-
-def test_no_schema_file_is_left_over():
-    assert written(ROOT / "docs" / "schema").keys() == schema_files().keys(), REMEDY
-
-
-def bases_of_classes():
-    """Class of the rooms to the names of its bases."""
-    return {
-        node.name: {b.id for b in node.bases if isinstance(b, ast.Name)}
-        for room in ROOMS
-        for path in (ROOT / room).rglob("*.py")
-        for node in tree_of(path).body
-        if isinstance(node, ast.ClassDef)
-    }
+def test_the_schema_files_are_those_that_the_command_writes(tmp_path):
+    assert main([str(tmp_path)]) == 0
+    assert written(ROOT / "docs" / "schema") == written(tmp_path), REMEDY
 
 
 def test_every_document_of_the_rooms_has_a_schema():
-    bases, found = bases_of_classes(), {"Document"}
+    bases = {
+        node.name: {b.id for b in node.bases if isinstance(b, ast.Name)}
+        for path in python_files(*ROOMS)
+        for node in tree_of(path).body
+        if isinstance(node, ast.ClassDef)
+    }
+    found = {"Document"}
     while more := {name for name, of in bases.items() if of & found} - found:
         found |= more
     parents = {parent for name in found for parent in bases[name]}
     assert found - parents == {kind.__name__ for kind in DOCUMENTS.values()}
-
-
-@pytest.mark.parametrize("kind", DOCUMENTS.values(), ids=lambda kind: kind.__name__)
-def test_a_document_names_the_command_that_makes_it(kind):
-    assert kind.MADE_BY.startswith(("python -m ", "dropstitch ")) and kind.VERSION >= 1
-
-
-def test_the_command_writes_every_schema(tmp_path):
-    assert main([str(tmp_path)]) == 0
-    assert written(tmp_path) == schema_files()
 
 
 def test_the_comment_of_a_field_is_its_description():

@@ -1,7 +1,8 @@
 """Runs of pytest in processes forked from one that has imported libraries, but not the project.
 
-Whatever imports the mutated module imports the mutant, in the forked process as in the Python
-programs that a test starts with its environment.
+Whatever imports a mutated module imports the mutant, in the forked process as in the Python
+programs that a test starts with its environment. A mutant in the C of the FMU is compiled into
+every FMU that the forked process builds.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Run(NamedTuple):
 class Ended(NamedTuple):
     run: Run
     result: str
-    """Of the mutant: "survived" (all tests pass), "killed" or "timeout"."""
+    """Of the mutant: "survived" (all tests pass), "killed", "timeout" or "invalid" (not C)."""
     taken_s: float
     output: str
 
@@ -87,7 +88,9 @@ def _in_child(run: Run, scratch: Path) -> int:
     # Recordings of other machines are not everywhere, so that no fraction depends on them.
     os.environ.update(TMPDIR=str(scratch), DROPSTITCH_DATA=str(scratch / "none"))
     tempfile.tempdir = None
-    if run.mutant is not None:
+    if run.mutant is not None and run.mutant.path.suffix == ".c":
+        _use_c(run.mutant, scratch)
+    elif run.mutant is not None:
         (scratch / "mutant.py").write_bytes(run.mutant.source())
         os.environ[sitecustomize.MODULE] = _module(run)
         os.environ[sitecustomize.SOURCE] = str(scratch / "mutant.py")
@@ -100,6 +103,15 @@ def _in_child(run: Run, scratch: Path) -> int:
         "-x", "-q", "--tb=short", "--no-header", "-p", "no:xdist", "-p",
         "no:cacheprovider", f"--basetemp={scratch / 'pytest'}", *run.arguments,
     ]))  # fmt: skip
+
+
+def _use_c(mutant: Mutant, scratch: Path) -> None:
+    """Let every FMU be built from sources with the mutant."""
+    fmu_builder = importlib.import_module("fmu.fmu_builder")
+    shutil.copytree(fmu_builder.WRAPPER, scratch / "c")
+    (scratch / "c" / mutant.path.name).write_bytes(mutant.source())
+    fmu_builder.WRAPPER = scratch / "c"
+    importlib.import_module("models.shared.c_compiler").CACHE = scratch / "cache"
 
 
 def _start(run: Run) -> tuple[int, Path]:
@@ -146,8 +158,10 @@ def _over(running) -> Iterator[tuple[int, Ended]]:
         _end_group(child)
         if not over:
             os.waitpid(child, 0)
+        output = (scratch / "output").read_text(errors="replace")
         result = "timeout" if not over else "survived" if status == 0 else "killed"
-        output = (scratch / "output").read_text(errors="replace") if run.mutant is None else ""
+        if run.mutant is not None and "the C compiler refused" in output:
+            result = "invalid"
         shutil.rmtree(scratch, ignore_errors=True)
         yield child, Ended(run, result, taken_s, output)
 

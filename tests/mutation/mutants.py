@@ -1,4 +1,7 @@
-"""Mutants of a source file: one comparison, operator, constant, condition or statement differs."""
+"""Mutants of a source file: one comparison, operator, constant, condition or statement differs.
+
+Python files are mutated in their syntax tree, C files by regular expressions over their lines.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import ast
 import copy
 import hashlib
 import itertools
+import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,13 +53,13 @@ class Mutant(NamedTuple):
     span: tuple[int, int]
     """Bytes of the source that are replaced."""
     key: str
-    """The same while its function stays as it is, in whatever file."""
+    """The same while its function (in C its line) stays as it is, in whatever file."""
 
     def source(self) -> bytes:
         """The whole file with the mutant in place and every line where it was."""
         whole, (start, end) = self.path.read_bytes(), self.span
         new = self.new.encode() + b"\n" * whole.count(b"\n", start, end)
-        if self.kind not in ("deletion", "return"):
+        if self.path.suffix == ".py" and self.kind not in ("deletion", "return"):
             new = b"(" + new + b")"
         return whole[:start] + new + whole[end:]
 
@@ -145,17 +149,77 @@ def _walk(node, scope: str, function: bool) -> Iterator[tuple[str, ast.AST, str,
 
 def mutants(path: Path) -> list[Mutant]:
     """Every mutant of a file."""
-    source, seen, out = path.read_bytes(), Counter(), []
+    found = _python_mutants(path) if path.suffix == ".py" else _c_mutants(path)
+    count, out = Counter(), []
+    for line, kind, old, new, span, scope in found:
+        identity = (scope, kind, old, new)
+        count[identity] += 1
+        key = hashlib.sha256("\0".join([*identity, str(count[identity])]).encode()).hexdigest()[:12]
+        out.append(Mutant(path, line, kind, old, new, span, key))
+    return out
+
+
+Found = tuple[int, str, str, str, tuple[int, int], str]
+"""Line, kind, old and new text, span of bytes, and what the key follows from beside them."""
+
+
+def _python_mutants(path: Path) -> Iterator[Found]:
+    source = path.read_bytes()
     starts = [0, *itertools.accumulate(map(len, source.splitlines(keepends=True)))]
     for scope, node, kind, new in _walk(ast.parse(source), "", False):
-        identity = (scope.lstrip("."), kind, ast.unparse(node), new)
-        seen[identity] += 1
-        text = "\0".join([*identity, str(seen[identity])])
         span = (starts[node.lineno - 1] + node.col_offset,
                 starts[node.end_lineno - 1] + node.end_col_offset)  # fmt: skip
-        key = hashlib.sha256(text.encode()).hexdigest()[:12]
-        out.append(Mutant(path, node.lineno, kind, identity[2], new, span, key))
-    return out
+        yield node.lineno, kind, ast.unparse(node), new, span, scope.lstrip(".")
+
+
+C_REPLACED = {
+    "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==",
+    "+": "-", "-": "+", "*": "/", "/": "*", "&&": "||", "||": "&&", "&": "|", "|": "&",
+    "+=": "-=", "-=": "+=",
+}  # fmt: skip
+C_OPERATOR = re.compile(r"(?<= )(<=?|>=?|[!=]=|[-+]=?|[*/]|&&?|\|\|?)(?= )")
+C_NOT = re.compile(r"!(?=[\w(])")
+C_NUMBER = re.compile(r"(?<![\w.])(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)(?![\w.])")
+C_CONDITION = re.compile(r"\bif \((.*)\)(?= \{$|$)")
+C_STATEMENT = re.compile(r"^ +(?! |return|break|goto|else|case|default|do\b)[^{}]*;$")
+C_DECLARATION = re.compile(
+    r"^ +(?:static |const |unsigned )*[A-Za-z_]\w* \**\w+(?:\[.*\])?(?: =|,|;)"
+)
+C_TALK = re.compile(r'"(?:[^"\\]|\\.)*"|/\*.*?\*/|/\*.*|#.*')
+"""Text, comments and directives, which are left alone."""
+
+
+def _c_mutants(path: Path) -> Iterator[Found]:
+    """Mutants of C lines; those that do not compile are noticed when they are run."""
+    start, comment = 0, False
+    for number, raw in enumerate(path.read_text(encoding="utf-8").splitlines(keepends=True), 1):
+        line = C_TALK.sub(lambda found: " " * len(found[0]), raw.rstrip("\n"))
+        if comment:
+            comment, line = "*/" not in raw, ""
+        comment = comment or raw.rfind("/*") > raw.rfind("*/")
+        for kind, span, new in _c_changes(line):
+            old = line[slice(*span)]
+            place = tuple(start + len(raw[:k].encode()) for k in span)
+            yield number, kind, old, new, place, f"{raw.strip()} {span}"
+        start += len(raw.encode())
+
+
+def _c_changes(line: str) -> Iterator[tuple[str, tuple[int, int], str]]:
+    declared = C_DECLARATION.match(line) is not None
+    for found in C_OPERATOR.finditer(line):
+        kind = "comparison" if found[0][0] in "<>!=" else "operator"
+        yield kind, found.span(), C_REPLACED[found[0]]
+    for found in C_NOT.finditer(line):
+        yield "operator", found.span(), ""
+    for found in C_NUMBER.finditer(line):
+        value = found[0]
+        new = str(int(value) + 1) if value.isdigit() else repr(2 * float(value) or 1.0)
+        yield "constant", found.span(), new
+    for found in C_CONDITION.finditer(line):
+        if found[1].count("(") == found[1].count(")"):
+            yield "condition", found.span(1), f"!({found[1]})"
+    if C_STATEMENT.match(line) and not declared and line.count("(") == line.count(")"):
+        yield "deletion", (len(line) - len(line.lstrip()), len(line)), ";"
 
 
 def draw(paths: list[Path], count: int, seed: int) -> list[Mutant]:
@@ -177,6 +241,8 @@ def draw(paths: list[Path], count: int, seed: int) -> list[Mutant]:
 
 
 def _compiles(mutant: Mutant) -> bool:
+    if mutant.path.suffix != ".py":
+        return True
     try:
         ast.parse(mutant.source())
     except SyntaxError:  # a sign in a pattern, for example

@@ -77,6 +77,13 @@ SUBJECTS = (
     ),
     Subject("fmu", ("fmu/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
     Subject(
+        "fmu-c",
+        ("fmu/c/*.c",),
+        tuple(f"tests/fmu/test_{part}.py" for part in (
+            "calls", "saved_states", "derivatives", "example_motion", "model_exchange", "fmu_math",
+        )),
+    ),
+    Subject(
         "timing",
         ("hil/sil/timing_verdict.py", "hil/sil/tick_budget.py"),
         ("tests/hil/sil/test_timing_verdict.py",),

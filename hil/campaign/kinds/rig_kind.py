@@ -93,7 +93,6 @@ def rig_file(name: str) -> dict[str, str]:
 
 
 def changed_rig(name: str, factors: dict[str, float], effects: dict[str, float]) -> Any:
-    """Rig with factors on its parameters, and with effects added."""
     from models.rig.drawn import rig_named
 
     rig = rig_named(name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import signal
 import subprocess
 import sys
@@ -12,12 +11,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.core.errors import InputError
 from firmware_py.system.clock import RealTimeOptions
-from fmu import fmu_builder
-from hil.commands.emulate import NOT_REAL_TIME
-from hil.emulator.emulator import open_physics
-from hil.emulator.physics import build_twin
 from models.plant.plant import NOMINAL
 
 
@@ -42,15 +36,9 @@ def emulating():
     yield process, port
     granted = policy_of(process) == os.SCHED_FIFO
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=30)[1]
+    error = process.communicate(timeout=30)[1]
     assert process.returncode == 0
-    assert said.count("real-time priority") == (not granted)
-
-
-@pytest.fixture(scope="module")
-def emulator(emulating):
-    """Name of that port."""
-    return emulating[1]
+    assert error.count("real-time priority") == (not granted)
 
 
 def policy_of(process):
@@ -70,35 +58,19 @@ def test_the_servos_ask_for_the_priority_of_a_loop_and_not_for_more(emulating):
     assert os.sched_getparam(process.pid).sched_priority <= RealTimeOptions().priority
 
 
-def test_a_refused_priority_is_told_once_and_the_servos_are_served(monkeypatch, capsys, tmp_path):
-    def refuse(*_):
-        raise PermissionError
-
-    def serve(specification, kind, path, announce):
-        with open_physics(specification.source, 1).fmu:
-            announce("the port")
-
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    monkeypatch.setattr("hil.commands.emulate.serve_forever", serve)
-    assert main(["emulate", "--plant", str(NOMINAL), "--path", str(tmp_path / "bus")]) == 0
-    said = capsys.readouterr()
-    assert said.out.startswith("the port\n")
-    assert said.err == f"{NOT_REAL_TIME}\n"
-
-
 @pytest.mark.slow
 def test_a_termination_leaves_no_socket(tmp_path):
     path = tmp_path / "bus"
     process, port = started("--line", "socket", "--path", path)
     assert port == f"unix:{path}" and path.exists()
     process.terminate()
-    said = process.communicate(timeout=30)[1]
-    assert process.returncode == 143 and said.endswith("terminated\n")
+    error = process.communicate(timeout=30)[1]
+    assert process.returncode == 143 and error.endswith("terminated\n")
     assert not path.exists()
 
 
-def test_the_sdk_moves_the_plant_and_sees_it_move(emulator, patient):
-    port, handler = sdk.PortHandler(emulator), sdk.PacketHandler(2.0)
+def test_the_sdk_moves_the_plant_and_sees_it_move(emulating, patient):
+    port, handler = sdk.PortHandler(emulating[1]), sdk.PacketHandler(2.0)
     assert port.openPort() and port.setBaudRate(1_000_000)
     try:
         assert patient(handler.ping, port, 2) == (2020, sdk.COMM_SUCCESS, 0)
@@ -112,7 +84,7 @@ def test_the_sdk_moves_the_plant_and_sees_it_move(emulator, patient):
                 break
         assert abs(position - goal) < 100
         still, result, _ = patient(handler.read4ByteTxRx, port, 2, 580)
-        assert min(still, 2**32 - still) < 100, "nobody told the second one to move"
+        assert min(still, 2**32 - still) < 100, "the second one got no goal"
     finally:
         port.closePort()
 
@@ -133,18 +105,3 @@ def test_what_cannot_be_emulated_is_refused_in_one_sentence(arguments, complaint
     assert main(["emulate", *arguments]) == 2
     error = capsys.readouterr().err
     assert complaint in error and error.count("\n") == 1
-
-
-@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
-def test_the_twin_is_built_for_this_machine(machine, tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(platform, "machine", lambda: machine)
-    monkeypatch.setattr(fmu_builder, "build_fmu", lambda *_, platforms: asked.extend(platforms))
-    build_twin(NOMINAL, 1, tmp_path)
-    assert asked == [f"{machine}-linux"]
-
-
-def test_a_machine_without_a_target_gets_one_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
-    with pytest.raises(InputError, match="unknown platform 'riscv64-linux'; choose all or some of"):
-        build_twin(NOMINAL, 1, tmp_path)

@@ -7,39 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import NoEstimator
-from firmware_py.inference.predictor import Prediction
 from firmware_py.summary import Ended
 from hil.emulator.physics import RigSource
 from hil.emulator.rig_physics import RigPhysics
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.timing_document import read_timing
 from hil.sil.tip_errors import true_tip_m
+from tests.hil.faults.toy_robot import StillPredictor
 
 STEP_S = 1e-3
 
 
-class NoPredictor:
-    """Says that the tip is at the origin."""
-
-    def __init__(self) -> None:
-        self._prediction = Prediction(np.zeros(3), np.ones(1), np.ones(3))
-
-    def predict(self, angle_rad, current_a, di, *_) -> Prediction:
-        return self._prediction
-
-
-@pytest.fixture(scope="module")
-def bundle(bare_bundle):
-    return ModelBundle(bare_bundle, read_manifest(bare_bundle), NoEstimator(), NoPredictor())
-
-
 @pytest.fixture
-def options(bundle, tmp_path):
+def options(bare_bundle, tmp_path):
+    bundle = ModelBundle(bare_bundle, read_manifest(bare_bundle), NoEstimator(), StillPredictor())
     return SilOptions(
         bundle=bundle, model=MODELS[54024], out=tmp_path, line="virtual", seconds=2.0,
         rig=RigSource(),
@@ -110,9 +95,3 @@ def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
 def test_what_cannot_be_run_is_refused(options, changes, complaint):
     with pytest.raises(InputError, match=complaint):
         run_sil(replace(options, **changes))
-
-
-def test_hiding_in_a_twin_is_refused_in_one_sentence(bundle, tmp_path, capsys):
-    arguments = ["sil", "--bundle", str(bundle.directory), "--out", str(tmp_path)]
-    assert main([*arguments, "--hide", "creep=0.1"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1

@@ -1,27 +1,20 @@
 """Recorded runs of the loop: today's loop must give the same goals, states and end (SR-27).
 
-::
-
-    python -m tests.hil.faults.recorded_runs
-    python -m tests.hil.faults.recorded_runs --anew --bundle BUNDLE --fmu FMU
-
-The first line adds the rows of the fault table that recorded_runs.xz lacks, with the plant of the
-tests; the second records every row of the virtual line again. Both replay each new run, and report
-and omit the runs that the replay does not reproduce.
+`python -m tests.hil.faults.recorded_runs` adds the rows of the fault table that recorded_runs.xz
+lacks, with the robot of the tests; with `--anew` it records every row of the virtual line again. It
+replays each new run, and reports and omits the runs that the replay does not reproduce.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import io
 import lzma
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, NamedTuple
 from unittest.mock import patch
 
 import msgspec
@@ -33,7 +26,6 @@ from firmware_py.config import RobotConfig
 from firmware_py.core.errors import DropstitchError, SafetyTrip
 from firmware_py.core.units import FILE_SIZE
 from firmware_py.goals.goal_source import GoalTable
-from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
 from firmware_py.loop import ControlLoop
@@ -73,16 +65,13 @@ class TapeFacts(msgspec.Struct, frozen=True, kw_only=True):
     ticks: int  # Number of rows
 
 
-@dataclass(frozen=True)
-class RunTape:
-    """One recorded run."""
-
+class RunTape(NamedTuple):
     facts: TapeFacts
     columns: Columns  # Ticks by column, see `column_names`
 
 
 def column_names(dof: int) -> tuple[str, ...]:
-    """Return the columns of a run: a part of the log's, and the statuses of reads and writes."""
+    """Columns of a run: a part of the log's, and the statuses of reads and writes."""
     joints = [f"{n}_{j}_{u}" for j in range(1, dof + 1)
               for n, u in (("goal", "rad"), ("angle", "rad"), ("current", "a"))]  # fmt: skip
     return (
@@ -93,11 +82,7 @@ def column_names(dof: int) -> tuple[str, ...]:
 
 
 def write_runs(path: Path, runs: Sequence[RunTape]) -> None:
-    """Write recorded runs, all of the same number of joints.
-
-    Each column holds the ticks of all runs in sequence. Most runs are equal up to their fault, so
-    the file compresses well.
-    """
+    """Write runs of the same number of joints; a column holds the ticks of all runs in sequence."""
     names = column_names(runs[0].facts.config.dof)
     facts = np.frombuffer(msgspec.json.encode([run.facts for run in runs]), np.uint8)
     arrays = {_FACTS: facts}
@@ -161,8 +146,6 @@ class _Playback(Service):
     def _set_clock(self, time_ns: int) -> None:
         self._clock.advance(time_ns - self._clock.now_ns())
 
-    # --- clock
-
     def now_ns(self) -> int:
         return self._clock.now_ns()
 
@@ -173,8 +156,6 @@ class _Playback(Service):
         elif self.row < self._facts.ticks:
             self._wake_ns = deadline_ns + self._at("lateness_ns")
             self._set_clock(self._wake_ns)
-
-    # --- bus
 
     def connect(self) -> None:
         """Set the recorded angles of this connection."""
@@ -217,8 +198,6 @@ class _Playback(Service):
     def close(self) -> None:
         pass
 
-    # --- estimator and predictor
-
     def reset(self) -> None:
         pass
 
@@ -230,8 +209,6 @@ class _Playback(Service):
         self._clock.advance(self._at("predict_ns"))
         return Prediction(self._tips[self.row].astype(np.float64), np.ones(1), np.zeros(3))
 
-    # --- service
-
     def alive(self) -> None:
         """End the tick at the recorded time."""
         if self._in_tick:
@@ -241,10 +218,7 @@ class _Playback(Service):
 
 
 def replay_run(run: RunTape) -> str:
-    """Run today's loop on the measurements of a recorded run.
-
-    Returns a description of the first difference in goals, states or end; empty if there is none.
-    """
+    """First difference of today's loop on these measurements in goals, states or end, or ""."""
     facts, config, played = run.facts, run.facts.config, _Playback(run)
     goals = case_goals(config, facts.through_pulse, facts.number)
     supervisor = SafetySupervisor(config.limits_in_force, config.dof, config.period_s)
@@ -289,11 +263,8 @@ class _Listener:
     def __init__(self) -> None:
         self.connected_rad: list[list[float]] = []
         self.torque: list[tuple[int, int]] = []
-        self.status: dict[str, list[int]] = {
-            "read_status": [],
-            "write_status": [],
-            "read_alert": [],
-        }
+        names = ("read_status", "write_status", "read_alert")
+        self.status: dict[str, list[int]] = {name: [] for name in names}
         self._in_tick = self._connecting = False
 
     def listen(self, bus: Any) -> Any:
@@ -377,25 +348,18 @@ def row_name(run: RunTape) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--anew", action="store_true", help="record every row again")
-    parser.add_argument("--bundle", type=Path, help="bundle of two joints (default: a toy)")
-    parser.add_argument("--fmu", type=Path, help="its twin")
     args = parser.parse_args(argv)
-    if (args.bundle is None) != (args.fmu is None):
-        parser.error("--bundle and --fmu go together")
     rows = [row for row in ROWS if replayable(row)]
     names = {f"{row.fault}, {row.how}" for row in rows}
     runs = [] if args.anew else [run for run in read_runs(FILE) if row_name(run) in names]
     known = {row_name(run) for run in runs}
-    with contextlib.ExitStack() as stack:
-        if args.bundle:
-            robot = CaseRobot(ModelBundle.load(args.bundle), args.fmu)
-        else:
-            robot = toy_robot(Path(stack.enter_context(tempfile.TemporaryDirectory())))
-            stack.enter_context(patch.object(virtual_case, "FmuPhysics", ToyPhysics))
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        patch.object(virtual_case, "FmuPhysics", ToyPhysics),
+    ):
+        robot = toy_robot(Path(scratch))
         for row in rows:
             if f"{row.fault}, {row.how}" in known:
                 continue

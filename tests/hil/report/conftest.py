@@ -65,33 +65,26 @@ def with_phase(trials, phase_2_rad):
     )  # fmt: skip
 
 
-def study_of(training, held_out, observer, others):
-    """A study of these trials."""
-    fallback = fit_fallback(training, CompiledModel(observer))
-    return run_study(fallback, name_tests(training, tuple(held_out)), others)
-
-
 @pytest.fixture(scope="session")
 def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     directory = tmp_path_factory.mktemp("build")
     (directory / "bundle_1dof").symlink_to(toy_bundle)
-    (directory / "bundle_2dof").mkdir()
     training, held_out = toy_trials(2, payloads_kg=(0.0, 2.0)).split()
     one, _ = toy_trials(1).split()
-    study = study_of(training, held_out, toy_observer(2), one)
-    both = TrialSet((*training, *with_phase(training, 1.5708)))
-    every = (*held_out, *with_phase(held_out, 1.5708))
-    pooled = study_of(both, every, toy_observer(2), one)
-    write_study(directory / "bundle_2dof" / "study.json", pooled)
-    around = with_phase(training, 1.5708)
-    apart = study_of(around, with_phase(held_out, 1.5708), toy_observer(2), one)
-    for name, of_phase in (("phase0", study), ("phase90", apart)):
-        (directory / f"study_2dof_{name}").mkdir()
-        write_study(directory / f"study_2dof_{name}" / "study.json", of_phase)
-    plant = read_plant()
+    of_phases = {
+        "study_2dof_phase0": (training, tuple(held_out)),
+        "study_2dof_phase90": (with_phase(training, 1.5708), tuple(with_phase(held_out, 1.5708))),
+    }
+    (trained_0, tests_0), (trained_90, tests_90) = of_phases.values()
+    pooled = (TrialSet((*trained_0, *trained_90)), (*tests_0, *tests_90))
+    for name, (trained, tests) in {**of_phases, "bundle_2dof": pooled}.items():
+        fallback = fit_fallback(trained, CompiledModel(toy_observer(2)))
+        study = run_study(fallback, name_tests(trained, tests), one)
+        (directory / name).mkdir(exist_ok=True)
+        write_study(directory / name / "study.json", study)
     few = TrialSet((*held_out[:1], *one[:1]))
     (directory / "evaluate_unseen_20deg.json").write_bytes(
-        msgspec.json.encode(evaluate_plant(plant, few))
+        msgspec.json.encode(evaluate_plant(read_plant(), few))
     )
     twin = build_twin(NOMINAL, 1, directory)
     report = check_fmu(twin)
@@ -164,16 +157,10 @@ def diagnosis():
 
 
 @pytest.fixture(scope="session")
-def plant_before():
-    """Path of the plant that a diagnosis began with."""
-    return NOMINAL
-
-
-@pytest.fixture(scope="session")
-def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
+def gap_build(build, toy_trials, toy_bundle, tmp_path_factory):
     """What is built around a diagnosis; its trials are those of the improved plant itself."""
     directory = tmp_path_factory.mktemp("gap")
-    before = read_plant(plant_before)
+    before = read_plant(NOMINAL)
     after = before.with_effects("stiffness_softening").with_values({"softening_share": 0.19})
     (directory / "found").mkdir()
     after.write(directory / "found" / "plant.json")
@@ -185,7 +172,7 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
              for name, of in (("trials", trials), ("sealed", sealed))}  # fmt: skip
     (directory / "found" / "gap.json").write_bytes(msgspec.json.encode(diagnosis()))
     for variant, plant in {
-        "before": plant_before,
+        "before": NOMINAL,
         "after": directory / "found" / "plant.json",
     }.items():
         fmu = directory / f"{variant}.fmu"
@@ -212,18 +199,12 @@ def command(arguments):
 
 
 @pytest.fixture(scope="session")
-def gap_command(gap_build, plant_before):
-    """Path of the page about that directory, and what the command that wrote it printed."""
+def gap_page(gap_build):
+    """Path of the page about that directory."""
     out = gap_build / "report.html"
-    arguments = ["report", "gap", str(gap_build), "--plant", str(plant_before), "--out", str(out),
-                 "--hide", "stiffness_softening=0.2"]  # fmt: skip
-    return out, command(arguments)
-
-
-@pytest.fixture(scope="session")
-def gap_page(gap_command):
-    """Path of that page."""
-    return gap_command[0]
+    command(["report", "gap", str(gap_build), "--plant", str(NOMINAL), "--out", str(out),
+             "--hide", "stiffness_softening=0.2"])  # fmt: skip
+    return out
 
 
 ROWS = 60

@@ -63,7 +63,7 @@ def test_the_time_of_neighbours_counts_as_ours(watch):
     assert 0 < ours <= 2 * spent_ns + 20_000_000  # schedstat is brought up to date by the tick
 
 
-def test_a_neighbour_that_has_ended_is_no_harm(watch):
+def test_a_neighbour_that_has_ended_does_no_harm(watch):
     reading, writing = os.pipe()  # which cannot be read at an offset
     rows = watch((ctypes.c_int64 * 2)(), 5, (reading,))
     os.close(reading)

