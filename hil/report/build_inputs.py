@@ -32,6 +32,7 @@ from firmware_py.core.input_files import convert, read_json, read_text
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import Manifest
 from firmware_py.log.recording import read_recording
+from firmware_py.log.scene import LinkShape, shape_in
 from hil.faults.faults_document import FaultsDocument, read_faults
 from hil.sil.timing_document import TimingDocument, read_timing
 from models.plant.document import Evaluation
@@ -80,6 +81,14 @@ class LoopRun:
     ticks: dict[str, NDArray[np.float64]] | None
     true_tip_m: NDArray[np.float64] | None = None  # (n, 3), true tip in each recorded tick
     phase_2_rad: float = 0.0  # Lead of joint 2
+    period_s: float | None = None  # Period of the motion
+    shape: LinkShape | None = None  # Constants of the link; None if the log lacks them
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Time of each recorded tick, from the first one."""
+        time_s = self.ticks["time_s"] if self.ticks is not None else np.zeros(1)
+        return np.asarray(time_s - time_s[0])
 
     @property
     def dof(self) -> int | None:
@@ -258,14 +267,18 @@ def read_loop(directory: Path) -> LoopRun:
     log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
     if not log.is_file():
         return LoopRun(directory.name, timing, None)
-    ticks = read_recording(log).columns
+    recording = read_recording(log)
+    ticks = recording.columns
     if not trial.is_file():
         return LoopRun(directory.name, timing, ticks)
     slot = (ticks["tick"] - ticks["tick"][0]).astype(int)  # the trial has a row for every slot
     run = read_trial(trial)
     known = slot < len(run)
     ticks = {name: column[known] for name, column in ticks.items()}
-    return LoopRun(directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad)
+    return LoopRun(
+        directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad,
+        run.meta.period_s, shape_in(recording.metadata),
+    )  # fmt: skip
 
 
 def read_commands(path: Path) -> list[str]:
