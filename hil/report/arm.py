@@ -1,4 +1,4 @@
-"""The arm of a run in 3-D, moving: where the link is, where the robot predicts it, and a rigid link.
+"""The arm of a run in 3-D, moving: the link, the robot's prediction of it, and a rigid link.
 
 The picture is a list of strokes on the picture plane. The report shows them as an SVG that moves
 without a script, so a server that blocks scripts shows it too; the README shows them as a GIF.
@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
 
-from firmware_py.core.signals import tip_names
-from firmware_py.core.units import LENGTH, PAYLOAD
+from firmware_py.core.units import LENGTH
 from firmware_py.log.scene import LinkPose, LinkShape, pose_link
 from hil.report.build_inputs import LoopRun
 from models.shared.pages import LegendEntry, Panel
@@ -69,9 +68,7 @@ def arm_motion(loop: LoopRun) -> ArmMotion | None:
     """Motion of a run's arm; None if the run lacks the ticks, the true tip or the link's shape."""
     if loop.ticks is None or loop.true_tip_m is None or loop.shape is None:
         return None
-    ticks, shape = loop.ticks, loop.shape
-    angle_rad = np.column_stack([ticks[f"angle_{j}_rad"] for j in range(1, (loop.dof or 1) + 1)])
-    predicted_m = np.column_stack([ticks[name] for name in tip_names("predicted_")])
+    shape, angle_rad, predicted_m = loop.shape, loop.angle_rad(), loop.predicted_tip_m()
     known = np.isfinite(np.hstack([angle_rad, predicted_m, loop.true_tip_m])).all(axis=1)
     rows = np.flatnonzero(_cycle(loop) & known)
     if len(rows) < FRAMES:
@@ -81,7 +78,7 @@ def arm_motion(loop: LoopRun) -> ArmMotion | None:
     rigid_m = np.array([pose.rigid_tip for pose in true])
     return ArmMotion(
         shape=shape,
-        duration_s=float(ticks["time_s"][rows[-1]] - ticks["time_s"][rows[0]]),
+        duration_s=float(np.ptp(loop.time_s()[rows])),
         true=true,
         predicted=[pose_link(shape, angle_rad[k], predicted_m[k]) for k in frames],
         true_tip_m=loop.true_tip_m[rows],
@@ -92,7 +89,7 @@ def arm_motion(loop: LoopRun) -> ArmMotion | None:
 
 def _cycle(loop: LoopRun) -> NDArray[np.bool_]:
     """Ticks of the last period of the first motion, or the first seconds of another run."""
-    time_s = loop.time_s
+    time_s = loop.time_s()
     programme = loop.timing.run.programme_s
     end_s = programme.get("rest", 0.0) + programme.get("motion", MOST_CYCLE_S)
     period_s = min(loop.period_s or MOST_CYCLE_S, MOST_CYCLE_S)
@@ -167,14 +164,12 @@ def _frame(strokes: list[Stroke]) -> tuple[Array, Array]:
 
 def arm_panel(motion: ArmMotion, loop: LoopRun) -> Panel:
     """Moving picture of a run's arm; a click plays it again."""
-    environment = loop.timing.environment
-    title = f"{loop.dof}DOF, {PAYLOAD.significant(environment.payload_kg)}"
     rigid, predicted = LENGTH.text(motion.rigid_off_m), LENGTH.text(motion.predicted_off_m)
     alt = (
-        f"Link of a run with {title} over {motion.duration_s:.1f} s. Its tip is {rigid} from that "
-        f"of a rigid link on average, and {predicted} from the predicted one."
+        f"Link of a run ({loop.title}) over {motion.duration_s:.1f} s. Its tip is {rigid} from "
+        f"that of a rigid link on average, and {predicted} from the predicted one."
     )
-    return Panel(title, alt, _svg(arm_strokes(motion), motion.duration_s, f"arm-{loop.name}"))
+    return Panel(loop.title, alt, _svg(arm_strokes(motion), motion.duration_s, f"arm-{loop.name}"))
 
 
 def _svg(strokes: list[Stroke], duration_s: float, name: str) -> str:
@@ -190,17 +185,18 @@ def _svg(strokes: list[Stroke], duration_s: float, name: str) -> str:
             for frame in (stroke.points if stroke.points.shape[1] > 1 else _twice(stroke.points))
         ]
         width_px = scale * stroke.width_m
-        dash = f' stroke-dasharray="{3 * width_px:.0f} {2.5 * width_px:.0f}"'
         moving = (
             f'<animate attributeName="points" begin="{begin}" dur="{duration_s:.2f}s" '
             f'repeatCount="{REPEATS}" values="{";".join(frames)}"/>'
             if len(frames) > 1
             else ""
         )
-        rows.append(
-            f'<polyline points="{frames[0]}" stroke="{stroke.colour}" stroke-width="{width_px:.1f}" '
-            f'stroke-opacity="{stroke.opacity:g}"{dash * stroke.dashed}>{moving}</polyline>'
-        )
+        look = f'stroke="{stroke.colour}" stroke-width="{width_px:.1f}"'
+        if stroke.opacity < 1.0:
+            look += f' stroke-opacity="{stroke.opacity:g}"'
+        if stroke.dashed:
+            look += f' stroke-dasharray="{3 * width_px:.0f} {2.5 * width_px:.0f}"'
+        rows.append(f'<polyline points="{frames[0]}" {look}>{moving}</polyline>')
     return (
         f'<svg id="{name}" viewBox="0 0 {width:.0f} {height:.0f}" fill="none" '
         f'stroke-linecap="round" style="cursor: pointer">{"".join(rows)}</svg>'

@@ -1,4 +1,8 @@
-"""Figures and tables of the study (paper, Figs. 7 to 15) and of the predictors of the tip."""
+"""Section about the study: predictors and estimators of the tip, motion and errors, the paper.
+
+Only the paper's link is compared with the paper. A study of another link has the same figures
+without it.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from firmware_py.core.units import (
@@ -20,13 +25,24 @@ from firmware_py.core.units import (
     TIME,
 )
 from firmware_py.system.targets import DI_GAIN_DEGREE
-from hil.report.build_inputs import motion_words
+from hil.report.build_inputs import ALL_PHASES, BuildInputs, motion_words
 from models.predictor.document import PredictorsDocument, latency_text, scores_of
 from models.predictor.validation import COVERS, coverage_text
 from models.shared.drawing import Chart, Line, line_panels
-from models.shared.pages import NO_VALUE, Figure, LegendEntry, Panel, Table
+from models.shared.pages import (
+    NO_VALUE,
+    Cell,
+    Figure,
+    Folded,
+    LegendEntry,
+    Panel,
+    Paragraph,
+    Part,
+    Table,
+)
 from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED, SERIES, ordered_colours
 from models.study.document import StudyDocument
+from models.trials.origin import TrialOrigin, merged_origins
 
 Array = NDArray[np.float64]
 Studies = Mapping[str, StudyDocument]
@@ -58,6 +74,63 @@ PREDICTORS: Final = {
 }
 
 
+VERDICTS: Final = {True: "as published", False: "differs", None: "undecided"}
+"""Comparison of a finding with the paper."""
+
+
+def study_parts(inputs: BuildInputs) -> list[Part]:
+    """Predictors and estimators, motion and errors, and the paper for the paper's link."""
+    parts: list[Part] = [candidate_table(inputs.predictors)] if inputs.predictors else []
+    studies, robot = inputs.studies, inputs.robot_studies
+    if not studies:
+        return parts
+    parts += [
+        Paragraph(
+            "On the robot DI is not measured. The plant observer estimates it from angle and "
+            "current. It is compared with a lagged regressor and with no DI, on trial 2 and on a "
+            "motion that neither training nor identification used."
+        ),
+        predictors_by_payload(robot), di_estimates(robot), predictor_table(studies),
+        di_estimator_table(robot), *motion_figures(_of_one_motion(studies)),
+        *error_figures(studies),
+    ]  # fmt: skip
+    return [*parts, *comparison_with_paper(studies)]
+
+
+def study_origins(study: StudyDocument) -> tuple[TrialOrigin, ...]:
+    parts = (study.training, *study.tests.values())
+    return merged_origins(origin for part in parts for origin in part.origins)
+
+
+def _of_one_motion(studies: Studies) -> Studies:
+    """Studies of a single kind of motion; that of all phases only if 2DOF has no other."""
+    single = {name: study for name, study in studies.items() if name != ALL_PHASES}
+    return single if any(study.dof == 2 for study in single.values()) else studies
+
+
+def comparison_with_paper(studies: Studies) -> list[Part]:
+    """What the paper's authors report of their link, beside these trials; a link of your own has
+    no findings, so no comparison.
+    """
+    rows: dict[str, list[str]] = {}
+    for name, study in studies.items():
+        for finding in study.findings:
+            _, _, measured = finding.text.partition(": ")
+            words = f"{name}: {VERDICTS[finding.holds]}; {measured.replace('trial_2', 'trial 2')}"
+            rows.setdefault(finding.claim, []).append(words)
+    if not rows:
+        return []
+    cells: list[list[Cell]] = [[c, Markup("<br>").join(words)] for c, words in rows.items()]
+    note = (
+        "No parameter was tuned to the paper. Above are paths (its Fig. 7), shapes (8), DI over "
+        "the angle (9, 10) and by payload (11), errors over time (12, 13), over the degree (14) "
+        "and by DI (15). It does not state the phase by which joint 2 leads joint 1, so each "
+        "phase has a study."
+    )
+    table = Table("", ["the paper reports", "these trials"], cells, note)
+    return [Folded("Comparison with the paper", [table])]
+
+
 def _ordered_legend(labels: Iterable[str]) -> list[LegendEntry]:
     labels = list(labels)
     colours = ordered_colours(len(labels))
@@ -73,7 +146,7 @@ def _payload_legend(studies: Studies) -> list[LegendEntry]:
     return _ordered_legend(labels)
 
 
-# --- motion of the link: Figs. 7 to 11 ----------------------------------------------------------
+# --- motion of the link -------------------------------------------------------------------------
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
@@ -100,7 +173,7 @@ def _paths(studies: Studies) -> Figure:
         "Paths of the end effector",
         "The base joint is at the origin; at angle zero the link is along z. The lines get thinner "
         "from the lightest payload to the heaviest.",
-        panels, "7", _payload_legend(studies),
+        panels, legend=_payload_legend(studies),
     )  # fmt: skip
 
 
@@ -127,7 +200,7 @@ def _poses(studies: Studies) -> Figure:
     times_s = next(iter(studies.values())).series.poses.time_s
     return Figure(
         "Shape of the link", "Centre line through base plate and marker rows, to scale.",
-        panels, "8", _ordered_legend(map(TIME.text, times_s)),
+        panels, legend=_ordered_legend(map(TIME.text, times_s)),
     )  # fmt: skip
 
 
@@ -152,7 +225,7 @@ def _di_over_angle(studies: Studies) -> Figure:
     return Figure(
         "DI over the angle", "Trial 1. Marker noise alone contributes about 0.07 %.",
         line_panels(charts, ANGLE.label("angle 1"), DEFORMATION.label("DI"), ylim=(0, None)),
-        "9 and 10", _payload_legend(studies),
+        legend=_payload_legend(studies),
     )  # fmt: skip
 
 
@@ -172,10 +245,10 @@ def _mean_di(studies: Studies) -> Figure:
         [chart], PAYLOAD.label("payload"), DEFORMATION.label("mean DI"),
         ylim=(0, None), xticks=payloads_kg,
     )  # fmt: skip
-    return Figure("Mean DI by payload", "Rows of trial 1 in motion.", panels, "11", legend)
+    return Figure("Mean DI by payload", "Rows of trial 1 in motion.", panels, legend=legend)
 
 
-# --- errors of the polynomials: Figs. 12 to 15 --------------------------------------------------
+# --- errors of the polynomials ------------------------------------------------------------------
 
 
 def error_figures(studies: Studies) -> list[Figure]:
@@ -202,7 +275,7 @@ def _error_over_time(studies: Studies) -> Figure:
         "Error of the predictors over time",
         "With true DI; trained on trial 1, tested on trial 2, mean over the payloads.",
         line_panels(charts, TIME.label("time"), LENGTH.label("distance"), log=True),
-        "12 and 13", _ordered_legend(f"degree {d}" for d in degrees),
+        legend=_ordered_legend(f"degree {d}" for d in degrees),
     )  # fmt: skip
 
 
@@ -227,8 +300,8 @@ def _error_over_degree(studies: Studies) -> Figure:
         "Error over the degree",
         "With true DI, pooled over payloads; thin: one standard deviation of the samples above. "
         "The degree is chosen by payloads left out of trial 1, never by trial 2.",
-        line_panels(charts, "degree", LENGTH.label("mean distance"), log=True), "14",
-        [LegendEntry(BLUE, "trial 2"),
+        line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
+        legend=[LegendEntry(BLUE, "trial 2"),
          *(LegendEntry(INK, label, dash) for label, dash in FOLDS.values())],
     )  # fmt: skip
 
@@ -252,7 +325,7 @@ def _gain_by_di(studies: Studies) -> Figure:
         "Trained on trial 1, tested on trial 2. The robot has no motion capture: it uses the "
         "predictor that was trained on estimated DI.",
         line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
-        "15", [LegendEntry(BLUE, label, dash) for label, dash in VARIANTS.values()],
+        legend=[LegendEntry(BLUE, label, dash) for label, dash in VARIANTS.values()],
     )  # fmt: skip
 
 
