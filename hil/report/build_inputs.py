@@ -114,15 +114,21 @@ class LoopRun:
 
     def time_s(self) -> Array:
         """Time of each recorded tick, from the first one."""
-        return self._column("time_s") - self._column("time_s")[0]
+        return self.column("time_s") - self.column("time_s")[0]
 
     def angle_rad(self) -> Array:
         """Joint angles in each recorded tick, (n, dof)."""
-        return np.column_stack([self._column(f"angle_{j + 1}_rad") for j in range(self.dof or 1)])
+        return np.column_stack([self.column(f"angle_{j + 1}_rad") for j in range(self.dof or 1)])
 
     def predicted_tip_m(self) -> Array:
         """Tip that the robot predicted in each recorded tick, (n, 3)."""
-        return np.column_stack([self._column(name) for name in tip_names("predicted_")])
+        return np.column_stack([self.column(name) for name in tip_names("predicted_")])
+
+    def predicted_off_m(self) -> Array:
+        """Distance of the predicted tip from the true one, (n,); NaN without fresh data."""
+        true_m = np.full(3, np.nan) if self.true_tip_m is None else self.true_tip_m
+        distance_m = np.linalg.norm(self.predicted_tip_m() - true_m, axis=1)
+        return np.where(self.column("stale_ticks") > 0, np.nan, distance_m)
 
     def rigid_off_m(self) -> Array | None:
         """Distance of a rigid link's tip from the true one, (n,); None if one is unknown."""
@@ -131,7 +137,7 @@ class LoopRun:
         rigid_m = rigid_tip_m(self.angle_rad(), self.shape.base_offset_m, self.shape.length_m)
         return np.asarray(np.linalg.norm(rigid_m - self.true_tip_m, axis=1))
 
-    def _column(self, name: str) -> Array:
+    def column(self, name: str) -> Array:
         if self.ticks is None:
             raise ValueError(f"run {self.name!r} has no log")
         return self.ticks[name]

@@ -91,8 +91,9 @@ def _lead(inputs: BuildInputs) -> str:
     ]
     if errors_m and rigid_m:
         sentences.append(
-            f"The robot predicts its tip within {LENGTH.text(max(errors_m))} on average, where "
-            f"rigid kinematics is up to {LENGTH.text(max(rigid_m), 0)} off."
+            "In software the robot predicts its tip within "
+            f"{LENGTH.text(max(errors_m))} on average, where rigid kinematics is up to "
+            f"{LENGTH.text(max(rigid_m), 0)} off."
         )
     timed = [loop.timing for loop in inputs.loops if loop.in_real_time]
     if timed:

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.signals import tip_names
 from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
 from hil.report.build_inputs import LoopRun
 from hil.report.gap_results import PART, BeforeAfter, GapInputs, judged_part, same_in_python
@@ -51,7 +50,7 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter) -> str:
         _robot(inputs),
         *_plans(data),
         not_named,
-        Section("made", "Commands", [CommandList(inputs.commands, folded=True)]),
+        Section("made", "Commands", [CommandList(inputs.commands)]),
     ]
     lead = [
         origin_notice(origins_of([*inputs.trials, *inputs.sealed])),
@@ -180,10 +179,9 @@ def _first_motion(loop: LoopRun) -> tuple[Array, Array] | None:
     programme_s = loop.timing.run.programme_s
     if loop.ticks is None or loop.true_tip_m is None or not programme_s:
         return None
-    time_s = loop.ticks["time_s"] - loop.ticks["time_s"][0] - programme_s["rest"]
+    time_s = loop.time_s() - programme_s["rest"]
     rows = (time_s >= 0.0) & (time_s < programme_s[PART])
-    predicted_m = np.column_stack([loop.ticks[name] for name in tip_names("predicted_")])
-    return time_s[rows], (predicted_m - loop.true_tip_m)[rows]
+    return time_s[rows], (loop.predicted_tip_m() - loop.true_tip_m)[rows]
 
 
 def _error_panel(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, POSITION, TICK_TIME, TIME
+from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, TICK_TIME, TIME
 from firmware_py.system.timing import LABELS
 from hil.report.arm import LEGEND, arm_motion, arm_panel
 from hil.report.build_inputs import LoopRun
+from hil.sil.timing_verdict import PREEMPTED_NS
 from hil.verdict import Verdict
 from models.predictor.validation import COVERS, coverage_text
 from models.shared.drawing import Drawing, Line, log_axis, plot_lines
@@ -29,13 +30,14 @@ from models.shared.pages import (
     Table,
     TableCell,
 )
-from models.shared.palette import ALARM, BLUE, INK, MUTED, ORANGE, SPAN
+from models.shared.palette import ALARM, BLUE, MUTED, ORANGE, SPAN
 
 Array = NDArray[np.float64]
 
 INTERVALS: Final = 240
 """Intervals of a timeline, of which each shows maximum and median."""
-SHOWN_S: Final = 10.0
+LEAST_MM: Final = 0.01
+"""Least distance that is shown: at rest the twin is predicted exactly."""
 WHOLE: Final = BLUE
 OWN: Final = ORANGE
 PARTS: Final = {
@@ -71,11 +73,10 @@ def error_parts(loops: Sequence[LoopRun]) -> list[Part]:
     known = [loop for loop in loops if loop.timing.prediction_error.n]
     if not known:
         return []
-    return [
-        _error_table(known),
-        *(_prediction(loop, loop.true_tip_m) for loop in known if loop.true_tip_m is not None),
-        Folded("Errors by part of the run", [prediction_table(loop) for loop in known]),
-    ]
+    parts: list[Part] = [_error_table(known)]
+    if drawn := [loop for loop in known if loop.true_tip_m is not None]:
+        parts.append(distance_figure(drawn))
+    return [*parts, Folded("Errors by part of the run", [prediction_table(own) for own in known])]
 
 
 def _error_table(loops: Sequence[LoopRun]) -> Table:
@@ -84,69 +85,55 @@ def _error_table(loops: Sequence[LoopRun]) -> Table:
         error, rigid_off_m = loop.timing.prediction_error, loop.rigid_off_m()
         rigid = NO_VALUE if rigid_off_m is None else LENGTH.number(np.nanmean(rigid_off_m))
         measured_m = (error.mean_euclidean_distance_m, error.p95_m, error.max_m)
-        covered = coverage_text(error.interval_coverage or 0, error.interval_coverage_least or 0)
-        rows.append(
-            [loop.title, *(LENGTH.number(value or 0.0) for value in measured_m), rigid, covered]
-        )
-    behind = {loop.timing.environment.behind_the_servos for loop in loops}
-    note = "Rigid kinematics: a link that does not bend, at the measured angles."
-    if "twin" in behind:
+        rows.append([loop.title, *(LENGTH.number(value or 0.0) for value in measured_m), rigid])
+    note = "Rigid link: its tip if it did not bend, at the measured angles."
+    if any(loop.timing.environment.behind_the_servos == "twin" for loop in loops):
         note += (
             " Behind the servos is the twin, whose equations the robot's observer shares: on a "
             "robot the error is larger."
         )
     return Table(
         f"Distance between predicted and true tip in {LENGTH.name}",
-        ["run", "mean", "95th percentile", "maximum", "rigid kinematics, mean", COVERS],
-        rows, note,
+        ["run", "mean", "95th percentile", "maximum", "rigid link, mean"], rows, note,
     )  # fmt: skip
 
 
-def _prediction(loop: LoopRun, true_m: Array) -> Figure:
-    """Predicted and true tip over the first seconds, and their distance over the whole run."""
-    time_s, predicted_m = loop.time_s(), loop.predicted_tip_m()
-    ticks = loop.ticks or {}
-    first = time_s <= SHOWN_S
-    with Drawing() as (drawing, ax):
-        half_m = ticks["half_width_x_m"][first]
-        low, high = predicted_m[first, 0] - half_m, predicted_m[first, 0] + half_m
-        ax.fill_between(time_s[first], low, high, color=WHOLE, alpha=0.18, linewidth=0)
-        true = Line(time_s[first], true_m[first, 0], INK)
-        plot_lines(ax, [true, Line(time_s[first], predicted_m[first, 0], WHOLE, "dashed")])
-        ax.set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip x"))
-    tip = drawing.panel(
-        f"Tip x, first {min(SHOWN_S, time_s[-1]):.0f} s",
-        "Predicted x of the end effector with its 95 % interval, and the true x; "
-        f"the true x spans {np.nanmin(true_m[:, 0]):.2f} to {np.nanmax(true_m[:, 0]):.2f} m.",
-    )
-    distance_mm = LENGTH.shown(np.linalg.norm(predicted_m - true_m, axis=1))
-    outside = ticks["in_range"] <= 0
-    spans = _between_motions(loop.timing.run.programme_s, float(time_s[-1]))
-    legend = [
-        LegendEntry(INK, "true tip"), LegendEntry(WHOLE, "prediction and its distance", "dashed"),
-    ]  # fmt: skip
-    if outside.any():
-        legend.append(LegendEntry(ALARM, "inputs outside the training range", "dotted"))
-    if spans:
-        legend.append(LegendEntry(SPAN, "glide and rest: not in training"))
-    distance = _distance(time_s, distance_mm, outside, spans)
-    return Figure(loop.title, "", [tip, distance], legend=legend)
+def distance_figure(loops: Sequence[LoopRun]) -> Figure:
+    """Distance of the predicted and of a rigid link's tip from the true one, over each run."""
+    distances_mm = [LENGTH.shown(loop.predicted_off_m()) for loop in loops]
+    every = np.concatenate([d[np.isfinite(d)] for d in distances_mm])
+    shown = [max(LEAST_MM, float(every.min())), max(100.0, float(every.max()))]
+    panels = [
+        _distance(loop, distance_mm, shown)
+        for loop, distance_mm in zip(loops, distances_mm, strict=True)
+    ]
+    return Figure(
+        "Distance from the true tip",
+        "Median of each interval, and thin its maximum; ticks with fresh data.", panels,
+        legend=[
+            LegendEntry(WHOLE, "prediction"), LegendEntry(MUTED, "rigid link"),
+            LegendEntry(ALARM, "inputs outside the training range", "dotted"),
+            LegendEntry(SPAN, "glide and rest: not in training"),
+        ],
+    )  # fmt: skip
 
 
-def _distance(
-    time_s: Array, distance_mm: Array, outside: NDArray[np.bool_], spans: list[tuple[float, float]]
-) -> Panel:
+def _distance(loop: LoopRun, distance_mm: Array, shown_mm: Sequence[float]) -> Panel:
+    time_s, rigid_off_m = loop.time_s(), loop.rigid_off_m()
+    outside = loop.column("in_range") <= 0
     with Drawing() as (drawing, ax):
-        for start_s, end_s in spans:
+        for start_s, end_s in _between_motions(loop.timing.run.programme_s, float(time_s[-1])):
             ax.axvspan(start_s, end_s, color=SPAN, linewidth=0)
+        if rigid_off_m is not None:
+            plot_lines(ax, _envelope(time_s, LENGTH.shown(rigid_off_m), MUTED)[1:])
         plot_lines(ax, _envelope(time_s, distance_mm, WHOLE))
         ax.plot(time_s[outside], distance_mm[outside], ".", color=ALARM, markersize=3)
+        log_axis(ax, shown_mm)
         ax.set(
-            xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), ylim=(0, None),
-            xlim=(0, time_s[-1]),
+            xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), xlim=(0, time_s[-1]),
         )  # fmt: skip
     return drawing.panel(
-        "Distance between predicted and true tip, maximum and median of each interval",
+        loop.title,
         f"It is {np.nanmean(distance_mm):.1f} mm on average and {np.nanmax(distance_mm):.1f} mm "
         f"at most; {int(outside.sum())} of {len(time_s)} ticks lie outside the training range.",
     )
@@ -156,9 +143,13 @@ def _envelope(time_s: Array, values: Array, colour: str) -> list[Line]:
     """Maximum and median of each interval, as a thin and a thick line."""
     groups = np.array_split(np.arange(len(time_s)), min(INTERVALS, len(time_s)))
     middle_s = [float(np.median(time_s[g])) for g in groups]
-    largest = [float(np.nanmax(values[g])) for g in groups]
-    median = [float(np.nanmedian(values[g])) for g in groups]
+    largest = [_without_gaps(np.nanmax, values[g]) for g in groups]
+    median = [_without_gaps(np.nanmedian, values[g]) for g in groups]
     return [Line(middle_s, largest, colour, width=0.6), Line(middle_s, median, colour)]
+
+
+def _without_gaps(statistic: Callable[[Array], float], values: Array) -> float:
+    return float(statistic(values)) if np.isfinite(values).any() else np.nan
 
 
 def _between_motions(programme_s: Mapping[str, float], end_s: float) -> list[tuple[float, float]]:
@@ -208,32 +199,39 @@ def timing_parts(loops: Sequence[LoopRun]) -> list[Part]:
     return [
         _timing_table(timed),
         *(Paragraph(f"{loop.title}: {verdict_sentence(loop)}") for loop in timed),
-        *(timing_figure(loop, loop.ticks) for loop in timed if loop.ticks is not None),
+        *(timing_figure(loop) for loop in timed if loop.ticks is not None),
+        Paragraph(
+            "The end of a tick counts from the start of its slot. Own cost: without the wake-up "
+            "latency and without waiting for the bus. Preempted by the host: time in which the "
+            "kernel ran other processes, or the hypervisor other machines; the table adds what "
+            "the reference process saw.",
+            "note",
+        ),
         Folded("Durations of the stages", [_duration_table(loop) for loop in timed]),
         Folded("Machines and lines", [Facts(_environment(loop)) for loop in timed]),
     ]
 
 
 def _timing_table(loops: Sequence[LoopRun]) -> Table:
-    rows: list[list[Cell]] = []
-    for loop in loops:
-        timing, host = loop.timing, loop.timing.host
-        met = {Verdict.PASS: True, Verdict.FAIL: False}.get(timing.verdict)
-        rows.append(
-            [
-                loop.title, TableCell(str(timing.verdict), met),
-                TICK_TIME.number(timing.own_cost.p99_ns, 2),
-                TICK_TIME.number(timing.lateness.p99_ns, 2),
-                f"{timing.misses} of {timing.slots}", str(timing.own_misses),
-                f"{host.preempted_ticks} ticks, {TICK_TIME.text(host.max_ns, 1)} at most",
-            ]
-        )  # fmt: skip
-    return Table(
-        "",
-        ["run", "verdict", f"own cost p99, {TICK_TIME.name}", f"wake-up p99, {TICK_TIME.name}",
-         "deadlines missed", "by the loop itself", "preempted by the host"],
-        rows,
-    )  # fmt: skip
+    met = {Verdict.PASS: True, Verdict.FAIL: False}
+    every = [loop.timing for loop in loops]
+    own = [TICK_TIME.text(timing.own_cost.p99_ns, 2) for timing in every]
+    wake = [TICK_TIME.text(timing.lateness.p99_ns, 2) for timing in every]
+    bound = [FRACTION.text(timing.own_miss_rate_upper_bound_95, 2) for timing in every]
+    host = [
+        f"{timing.host.preempted_ticks} ticks, {TICK_TIME.text(timing.host.max_ns, 1)} at most"
+        for timing in every
+    ]
+    rows: list[list[Cell]] = [
+        ["verdict", *(TableCell(str(t.verdict), met.get(t.verdict)) for t in every)],
+        ["deadlines missed", *(f"{t.misses} of {t.slots}" for t in every)],
+        ["missed by the loop itself", *(str(t.own_misses) for t in every)],
+        ["the same at most, with 95\u00a0% confidence", *bound],
+        ["own cost of a tick, p99", *own],
+        ["wake-up latency, p99", *wake],
+        ["preempted by the host", *host],
+    ]
+    return Table("", ["", *(loop.title for loop in loops)], rows)
 
 
 def verdict_sentence(loop: LoopRun) -> str:
@@ -245,27 +243,23 @@ def verdict_sentence(loop: LoopRun) -> str:
         if causes
         else ""
     )
-    bound = FRACTION.text(timing.own_miss_rate_upper_bound_95, 2)
-    return (
-        f"{timing.verdict}; {timing.reason}.{lost} With 95\u00a0% confidence the loop itself "
-        f"misses less than {bound} of the deadlines."
-    )
+    return f"{timing.verdict}; {timing.reason}.{lost}"
 
 
-def timing_figure(loop: LoopRun, ticks: Mapping[str, Array]) -> Figure:
+def timing_figure(loop: LoopRun) -> Figure:
     """Histogram of the ticks with their deadline, and the run over time with the host's part."""
     deadline_ms = float(TICK_TIME.shown(loop.timing.targets.period_ns))
-    end_ms = TICK_TIME.shown(ticks["lateness_ns"] + ticks["busy_ns"])
-    own_ms = TICK_TIME.shown(ticks["busy_ns"] - ticks["bus_wait_ns"])
+    busy_ns = loop.column("busy_ns")
+    end_ms = TICK_TIME.shown(loop.column("lateness_ns") + busy_ns)
+    own_ms = TICK_TIME.shown(busy_ns - loop.column("bus_wait_ns"))
+    host_ms = TICK_TIME.shown(loop.column("preempted_ns") + loop.column("steal_ns"))
     panels = [
         _histogram(end_ms, own_ms, deadline_ms),
-        _timeline(loop.time_s(), end_ms, ticks, deadline_ms),
+        _timeline(loop.time_s(), end_ms, host_ms, deadline_ms),
     ]
     return Figure(
         loop.title,
-        "The end of a tick counts from the start of its slot. Own cost: without the wake-up "
-        "latency and without waiting for the bus. The host's part is time in which the kernel ran "
-        "other processes or the hypervisor other machines.",
+        "",
         panels,
         legend=[
             LegendEntry(WHOLE, "end of a tick in its slot"),
@@ -285,7 +279,8 @@ def _histogram(end_ms: Array, own_ms: Array, deadline_ms: float) -> Panel:
         ax.hist(end_ms, edges, color=WHOLE, alpha=0.7)
         ax.axvline(deadline_ms, color=ALARM, linestyle="--", linewidth=1)
         log_axis(ax, [least_ms, most_ms], "x")
-        ax.set(xlabel=TICK_TIME.label("time"), ylabel="ticks", yscale="log", ylim=(0.7, None))
+        log_axis(ax, [1.0, len(end_ms)])
+        ax.set(xlabel=TICK_TIME.label("time"), ylabel="ticks")
     return drawing.panel(
         "Latency histogram",
         f"Ends of {len(end_ms)} ticks: {np.median(end_ms):.2f} ms in the median and "
@@ -294,11 +289,8 @@ def _histogram(end_ms: Array, own_ms: Array, deadline_ms: float) -> Panel:
     )
 
 
-def _timeline(
-    time_s: Array, end_ms: Array, ticks: Mapping[str, Array], deadline_ms: float
-) -> Panel:
-    host_ms = TICK_TIME.shown(ticks["preempted_ns"] + ticks["steal_ns"])
-    preempted = host_ms > 0.1
+def _timeline(time_s: Array, end_ms: Array, host_ms: Array, deadline_ms: float) -> Panel:
+    preempted = host_ms >= TICK_TIME.shown(PREEMPTED_NS)
     missed = end_ms > deadline_ms
     with Drawing() as (drawing, ax):
         ax.vlines(time_s[preempted], 0.0, host_ms[preempted], color=MUTED, linewidth=2)
@@ -310,7 +302,7 @@ def _timeline(
             xlim=(0, time_s[-1]), ylim=(0, 1.12 * deadline_ms), yticks=[0, 5, 10, deadline_ms],
         )  # fmt: skip
     return drawing.panel(
-        "Over the run, maximum and median of each interval",
+        "Over the run: median of each interval, and thin its maximum",
         f"Ends of the ticks over {time_s[-1]:.0f} s; the host took up to {host_ms.max():.1f} ms "
         f"of one, and {int(missed.sum())} ticks cross the line at {deadline_ms:g} ms.",
     )

@@ -49,7 +49,7 @@ def plant_parts(plant: Plant | None, evaluations: Mapping[str, Evaluation]) -> l
     if plant is not None and plant.load == "link":
         parts += linear_parts(plant)
     if evaluations:
-        parts.append(_evaluation_table(evaluations))
+        parts += _evaluation_tables(evaluations)
     if plant is not None and (fitted := _parameter_table(plant)):
         parts.append(Folded(f"{len(fitted.rows)} identified parameters", [fitted]))
     return parts
@@ -89,30 +89,32 @@ def linear_parts(plant: Plant) -> list[Part]:
     return [figure, Table("Modes", header, rows)]
 
 
-def _evaluation_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """Errors of the identified plant by signal, with rigid kinematics as baseline."""
+def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:
+    """Errors of the tip, with rigid kinematics as baseline, and of every signal."""
     columns = {
         f"{title}, {dof}DOF": part
         for title, evaluation in evaluations.items()
         for dof, part in evaluation.dof.items()
     }
     parts = columns.values()
-    rows: list[list[Cell]] = [["tip, all axes", *map(_beside_rigid, parts)]]
-    rows += [
-        [f"tip at {kg} kg", *(_beside_rigid(part.payloads.get(kg)) for part in parts)]
+    of_tip: list[list[Cell]] = [["all payloads", *map(_beside_rigid, parts)]]
+    of_tip += [
+        [f"{kg} kg", *(_beside_rigid(part.payloads.get(kg)) for part in parts)]
         for kg in dict.fromkeys(kg for part in parts for kg in part.payloads)
     ]
-    rows += [
+    of_signals: list[list[Cell]] = [
         [signal_words(name), *(_signal_error(part.signals.get(name)) for part in parts)]
         for name in sorted({name for part in parts for name in part.signals})
     ]
-    return Table(
-        "Errors of the plant on trials that it was not fitted to",
+    tip = Table(
+        "Tip of the plant on trials that it was not fitted to",
         ["", *columns],
-        rows,
-        "Tip: RMS error, in brackets that of rigid kinematics, which is a link that does not bend "
-        "at the measured angles. Signals: RMS error, in brackets the mean absolute error.",
+        of_tip,
+        "RMS error, in brackets that of rigid kinematics: a link that does not bend, at the "
+        "measured angles.",
     )
+    note = "RMS error, in brackets the mean absolute error."
+    return [tip, Folded("Errors of every signal", [Table("", ["", *columns], of_signals, note)])]
 
 
 def _signal_error(error: SignalError | None) -> str:

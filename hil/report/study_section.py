@@ -80,21 +80,25 @@ VERDICTS: Final = {True: "as published", False: "differs", None: "undecided"}
 
 def study_parts(inputs: BuildInputs) -> list[Part]:
     """Predictors and estimators, motion and errors, and the paper for the paper's link."""
-    parts: list[Part] = [candidate_table(inputs.predictors)] if inputs.predictors else []
     studies, robot = inputs.studies, inputs.robot_studies
+    tables = [candidate_table(inputs.predictors)] if inputs.predictors else []
+    candidates: list[Part] = [Folded("Candidates for the robot's predictor", tables)]
     if not studies:
-        return parts
-    parts += [
+        return candidates if tables else []
+    parts: list[Part] = [
         Paragraph(
             "On the robot DI is not measured. The plant observer estimates it from angle and "
             "current. It is compared with a lagged regressor and with no DI, on trial 2 and on a "
             "motion that neither training nor identification used."
         ),
-        predictors_by_payload(robot), di_estimates(robot), predictor_table(studies),
-        di_estimator_table(robot), *motion_figures(_of_one_motion(studies)),
+        predictors_by_payload(robot),
+        di_estimates(robot),
+        *motion_figures(_of_one_motion(studies)),
         *error_figures(studies),
-    ]  # fmt: skip
-    return [*parts, *comparison_with_paper(studies)]
+        Folded("Predictors and estimators", [predictor_table(studies), di_estimator_table(robot)]),
+    ]
+    parts += candidates if tables else []
+    return parts + comparison_with_paper(studies)
 
 
 def study_origins(study: StudyDocument) -> tuple[TrialOrigin, ...]:

@@ -89,7 +89,7 @@ class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `separation` is the d′ that it adds to those named before it, `separation_of_nothing` the d′
     that is reached where nothing is missing. Of the whole named set
     (`models.gap.decision.certainty`): `difference` of its strengths between parts of the trials,
-    and mean squared `residual` that it leaves, in noise floors.
+    and the mean squared residual, `left`, in noise floors.
     """
 
     separation: float
@@ -299,7 +299,7 @@ class GapDocument(Document, frozen=True, kw_only=True):
     def floor_rms(self) -> dict[str, float]:
         """Noise floor by signal, in SI units; empty where none was learned."""
         floor = self.noise_floor
-        return {s: own.rms for s, own in floor.signals.items()} if floor.learned else {}
+        return {s: row.rms for s, row in floor.signals.items()} if floor.learned else {}
 
     @property
     def best_known_errors(self) -> tuple[dict[str, SignalGap], dict[str, SignalGap]]:

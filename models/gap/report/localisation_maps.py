@@ -36,23 +36,23 @@ def localisation_maps(
     signals = sorted({c.signal for c in cells})
     panels = []
     for factor, title in FACTORS.items():
-        own = [c for c in cells if c.factor == factor]
-        if not own:
+        regions = [c for c in cells if c.factor == factor]
+        if not regions:
             continue
-        levels = sorted({c.level for c in own}, key=_order)
-        place = {c.level: _SHORT.get(c.level, _plain(c.level)) for c in own}
-        rows = {s: signal_words(s) for s in signals if s in {c.signal for c in own}}
+        levels = sorted({c.level for c in regions}, key=_order)
+        place = {c.level: _SHORT.get(c.level, _plain(c.level)) for c in regions}
+        rows = {s: signal_words(s) for s in signals if s in {c.signal for c in regions}}
         curve = _cycle(trial) if factor == "phase" else None
         height_in = 0.6 + 0.26 * len(rows) + (0.3 if curve is not None else 0.0)
         with Drawing(height_in) as (drawing, ax):
             draw_heat_map(
                 ax, list(rows.values()), [place[level] for level in levels],
-                {(rows[c.signal], place[c.level]): c.size for c in own}, most=most,
-                faint={(rows[c.signal], place[c.level]) for c in own
+                {(rows[c.signal], place[c.level]): c.size for c in regions}, most=most,
+                faint={(rows[c.signal], place[c.level]) for c in regions
                        if not c.significant},
                 curve=curve,
             )  # fmt: skip
-        worst = max(own, key=lambda c: float(c.size))
+        worst = max(regions, key=lambda c: float(c.size))
         panels.append(
             drawing.panel(
                 title,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from firmware_py.core.units import LENGTH
-from models.gap.report.gap_charts import draw_bars, draw_errors
+from models.gap.report.gap_charts import draw_errors
 from models.gap.report.gap_json import MappedRegion, largest_gaps
 from models.gap.report.localisation_maps import draw_heat_map
 from models.shared.drawing import Drawing
@@ -23,15 +23,6 @@ def test_a_heat_map_writes_every_value_and_leaves_missing_cells_empty():
         assert {t.get_text(): t.get_color() for t in ax.texts}["1.0"] == MUTED
         darkest = ax.collections[1].get_facecolor()[0][:3]
         assert darkest == pytest.approx([int(HEAT[-1][k : k + 2], 16) / 255 for k in (1, 3, 5)])
-
-
-def test_bars_show_their_values_and_the_least_separation():
-    with Drawing() as (_, ax):
-        draw_bars(ax, [("creep", 14.0), ("prebend", 3.0)], 9.0, ["creep"])
-        assert [float(t) for t in texts(ax)] == [14.0, 3.0]
-        (limit,) = ax.lines
-        assert list(limit.get_xdata()) == [9.0, 9.0]
-        assert ax.get_xlim()[1] > 14.0
 
 
 def test_errors_are_shown_in_their_unit_around_zero():
