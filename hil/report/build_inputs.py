@@ -1,19 +1,15 @@
-"""Inputs of the report: whatever it recognises in the directories, any of which may be missing.
+"""Inputs of the report: what it recognises in the directories, any of which may be missing.
 
 ::
 
-    bundle_1dof/predictors.json, manifest.json  dropstitch train
-    bundle_1dof/study.json                      dropstitch train --study
-    study_2dof_phase90/study.json               dropstitch train --study-only --phase-deg 90
     plant.json                                  dropstitch identify
     evaluate*.json                              dropstitch evaluate … --json
-    check_twin_1dof.json                        dropstitch fmu check … --json
-    sil_1dof/timing.json, ticks.mcap, trial/    dropstitch sil
-    faults/faults.json                          make faults
+    check_*.json                                dropstitch fmu check … --json
     commands.log                                make demo, make study
-
-Other names work as well: a file is recognised by its contents. If several files compete for one
-place in the report, the one with the name above is shown and the others are listed.
+    NAME/timing.json, ticks.mcap, trial/        dropstitch sil
+    NAME/faults.json                            make faults
+    NAME/predictors.json                        dropstitch train --compare
+    NAME/study.json                             dropstitch train --study, or --study-only
 """
 
 from __future__ import annotations
@@ -22,7 +18,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -32,8 +28,6 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_json, read_text
 from firmware_py.core.signals import tip_names
 from firmware_py.core.units import ANGLE, PAYLOAD
-from firmware_py.inference.bundle import read_manifest
-from firmware_py.inference.manifest import Manifest
 from firmware_py.log.recording import read_recording
 from firmware_py.log.scene import LinkShape, shape_in
 from hil.faults.faults_document import FaultsDocument, read_faults
@@ -48,13 +42,6 @@ from models.trials.files import read_trial
 Array = NDArray[np.float64]
 T = TypeVar("T")
 ALL_PHASES: Final = "2DOF, all phases"
-
-JSON_FILES: Final[dict[str, tuple[str, set[str]]]] = {
-    "plant": ("plant.json", {"drive", "load", "parameters"}),
-    "evaluation": ("evaluate*.json", {"signals", "trials", "dof"}),
-    "check": ("check_*.json", {"fmi", "checks", "parity"}),
-}
-"""Name that `make demo` uses, and the keys by which any other file is recognised."""
 
 
 class CheckRow(msgspec.Struct, frozen=True):
@@ -152,7 +139,6 @@ class BuildInputs:
     evaluations: dict[str, Evaluation]  # Evaluations of the plant, by name of the trials
     checks: dict[str, FmuCheckOutput]  # Checks by name of the FMU
     faults: FaultsDocument | None
-    manifests: dict[int, Manifest]  # Manifests of the bundles, by dof
     # Comparison of the candidates for the robot's predictor, by dof
     predictors: dict[int, PredictorsDocument]
     studies: dict[str, StudyDocument]  # Studies by `study_label`, those of bundles first
@@ -180,88 +166,47 @@ def read_build(*directories: Path) -> BuildInputs:
     for directory in directories:
         if not directory.is_dir():
             raise InputError(directory, "is not a directory", "run 'make demo' first")
-    left_out: list[str] = []
-    files = _json_files(directories)
-    plants = sorted(files["plant"], key=lambda path: path.name != "plant.json")
-    left_out += [f"{path.name}: {plants[0].name} is the plant shown" for path in plants[1:]]
-    plant = read_plant(plants[0]) if plants else None
-    bundles = _bundles(directories)
-    loops = [read_loop(path) for path in _directories_with(directories, "timing.json", "sil")]
-    campaigns = _directories_with(directories, "faults.json", "faults")
+    plant_files = _files(directories, "plant.json")
+    plant = read_plant(plant_files[0]) if plant_files else None
+    loops = [read_loop(path.parent) for path in _files(directories, "*/timing.json")]
+    campaigns = _files(directories, "*/faults.json")
+    candidates = [read_predictors(path) for path in _files(directories, "*/predictors.json")]
+    studies, left_out = _studies(directories)
     return BuildInputs(
         loops=sorted(loops, key=lambda loop: not loop.in_real_time),
         plant=plant,
-        evaluations=_evaluations(files["evaluation"], plant),
+        evaluations=_evaluations(_files(directories, "evaluate*.json"), plant),
         checks={
             path.stem.removeprefix("check_"): read_output(path, FmuCheckOutput)
-            for path in files["check"]
+            for path in _files(directories, "check_*.json")
         },
-        faults=read_faults(campaigns[0] / "faults.json") if campaigns else None,
-        manifests={dof: manifest for dof, (_, manifest) in bundles.items()},
-        predictors={
-            dof: read_predictors(path / "predictors.json")
-            for dof, (path, _) in bundles.items()
-            if (path / "predictors.json").is_file()
-        },
-        studies=_studies(directories, left_out),
-        commands=read_commands(*(directory / "commands.log" for directory in directories)),
+        faults=read_faults(campaigns[0]) if campaigns else None,
+        predictors={document.dof: document for document in candidates},
+        studies=studies,
+        commands=read_commands(*_files(directories, "commands.log")),
         left_out=left_out,
     )
 
 
-def _directories_with(directories: Sequence[Path], name: str, usual: str) -> list[Path]:
-    """The directories, and those in them, that contain a file; usual names first."""
-    paths = [p for d in directories for p in (d, *d.iterdir()) if (p / name).is_file()]
-    return sorted(dict.fromkeys(paths), key=lambda p: (not p.name.startswith(usual), p.name))
+def _files(directories: Sequence[Path], pattern: str) -> list[Path]:
+    """Files by their pattern, which may name a subdirectory: then the directory itself counts."""
+    patterns = {pattern, pattern.removeprefix("*/")}
+    every = {path for d in directories for one in patterns for path in d.glob(one)}
+    return sorted(path for path in every if path.is_file())
 
 
-def _json_files(directories: Sequence[Path]) -> dict[str, list[Path]]:
-    """JSON files of the directories by their kind."""
-    files: dict[str, list[Path]] = {kind: [] for kind in JSON_FILES}
-    for path in (p for directory in directories for p in sorted(directory.glob("*.json"))):
-        named = [kind for kind, (name, _) in JSON_FILES.items() if path.match(name)]
-        for kind in named or _kinds_by_keys(path):
-            files[kind].append(path)
-    return files
-
-
-def _kinds_by_keys(path: Path) -> list[str]:
-    try:
-        content: Any = read_json(path, "")
-    except InputError:
-        return []
-    keys = content.keys() if isinstance(content, dict) else set()
-    return [kind for kind, (_, needed) in JSON_FILES.items() if needed <= keys]
-
-
-def _is_bundle(directory: Path) -> bool:
-    """Whether a directory is a robot's bundle, and not only the output of a study."""
-    if directory.name.startswith(("bundle_", "study_")):
-        return directory.name.startswith("bundle_")
-    return any((directory / name).is_file() for name in ("observer.fmu", "predictors.json"))
-
-
-def _bundles(directories: Sequence[Path]) -> dict[int, tuple[Path, Manifest]]:
-    """Bundles by number of joints, those with the usual name first."""
-    bundles: dict[int, tuple[Path, Manifest]] = {}
-    paths = _directories_with(directories, "manifest.json", "bundle_")
-    for path in sorted(paths, key=lambda p: not _is_bundle(p)):
-        if not path.name.startswith("study_"):
-            manifest = read_manifest(path)
-            bundles.setdefault(manifest.dof, (path, manifest))
-    return bundles
-
-
-def _studies(directories: Sequence[Path], left_out: list[str]) -> dict[str, StudyDocument]:
+def _studies(directories: Sequence[Path]) -> tuple[dict[str, StudyDocument], list[str]]:
+    """Studies by their label, those of bundles first, and the ones that compete with them."""
     studies: dict[str, StudyDocument] = {}
-    paths = _directories_with(directories, "study.json", "bundle_")
-    for path in sorted(paths, key=lambda p: not _is_bundle(p)):
-        study = read_study(path / "study.json")
+    left_out = []
+    paths = _files(directories, "*/study.json")
+    for path in sorted(paths, key=lambda p: not p.parent.name.startswith("bundle")):
+        study = read_study(path)
         label = study_label(study)
         if label in studies:
-            left_out.append(f"{path.name}: another study of {label} is shown")
+            left_out.append(f"{path.parent.name}: another study of {label} is shown")
         studies.setdefault(label, study)
-    return studies
+    return studies, left_out
 
 
 def _evaluations(paths: list[Path], plant: Plant | None) -> dict[str, Evaluation]:
@@ -307,7 +252,7 @@ def read_loop(directory: Path) -> LoopRun:
 
 def read_commands(*paths: Path) -> list[str]:
     """Read the logged commands without duplicates, in the order of their last use."""
-    logs = [read_text(path, "make it again") for path in paths if path.is_file()]
+    logs = [read_text(path, "make it again") for path in paths]
     lines = [line.strip() for log in logs for line in log.splitlines()]
     last = {line: k for k, line in enumerate(lines) if line}
     return sorted(last, key=last.__getitem__)

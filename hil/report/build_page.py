@@ -166,8 +166,4 @@ def _made(inputs: BuildInputs) -> list[Part]:
         parts.append(CommandList(inputs.commands))
     versions = [("python", platform.python_version()), ("machine", platform.platform())]
     versions += [(name, importlib.metadata.version(name)) for name in LIBRARIES]
-    versions += [
-        (f"training data {dof}DOF", manifest.training_data_sha256[:16])
-        for dof, manifest in inputs.manifests.items()
-    ]
     return [*parts, Facts(versions)]

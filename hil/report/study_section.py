@@ -6,7 +6,7 @@ without it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from firmware_py.core.units import (
     PAYLOAD,
     POSITION,
     TIME,
+    DisplayUnit,
 )
 from firmware_py.system.targets import DI_GAIN_DEGREE
 from hil.report.build_inputs import ALL_PHASES, BuildInputs, motion_words
@@ -154,7 +155,7 @@ def _payload_legend(studies: Studies) -> list[LegendEntry]:
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
-    """Draw paths, shapes and DI, with a panel for each kind of motion."""
+    """Paths, shapes and DI, with a panel for each kind of motion."""
     return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
 
 
@@ -194,11 +195,7 @@ def _poses(studies: Studies) -> Figure:
                 Line(points[:, h], points[:, v], colour, marker="o")
                 for points, colour in zip(whole_m, colours, strict=True)
             ]
-            alt = (
-                f"Centre line of the link at {len(line_m)} equal times of the first cycle; its DI "
-                f"goes from {DEFORMATION.number(min(poses.di))} to "
-                f"{DEFORMATION.text(max(poses.di))}."
-            )
+            alt = f"Centre line of the link at {len(line_m)} equal times of the first cycle."
             title = f"{motion}, {plane}, {PAYLOAD.significant(poses.payload_kg)}"
             panels += _to_scale(Chart(title, alt, lines), plane)
     times_s = next(iter(studies.values())).series.poses.time_s
@@ -216,21 +213,29 @@ def _to_scale(chart: Chart, plane: str) -> list[Panel]:
 def _di_over_angle(studies: Studies) -> Figure:
     charts = []
     for motion, study in studies.items():
-        curves = study.series.di
-        lines = [
-            Line(ANGLE.shown(curve.angle_1_rad), DEFORMATION.shown(curve.di), colour, width=1.0)
-            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True)
-        ]
-        alt = (
-            f"DI over the angle of joint 1, {motion}, one loop per payload, up to "
-            f"{DEFORMATION.text(max(max(curve.di) for curve in curves.values()))}."
-        )
-        charts.append(Chart(motion, alt, lines))
+        curves = [(c.angle_1_rad, c.di) for c in study.series.di.values()]
+        alt = f"DI over the angle of joint 1, {motion}, one loop per payload."
+        charts.append(_curves(motion, alt, curves, ANGLE, DEFORMATION))
     return Figure(
         "DI over the angle", "Trial 1. Marker noise alone contributes about 0.07 %.",
         line_panels(charts, ANGLE.label("angle 1"), DEFORMATION.label("DI"), ylim=(0, None)),
         legend=_payload_legend(studies),
     )  # fmt: skip
+
+
+def _curves(
+    title: str,
+    alt: str,
+    curves: Sequence[tuple[Sequence[float], Sequence[float]]],
+    x: DisplayUnit,
+    y: DisplayUnit,
+) -> Chart:
+    """Thin lines of an ordered quantity."""
+    lines = [
+        Line(x.shown(xs), y.shown(ys), colour, width=1.0)
+        for (xs, ys), colour in zip(curves, ordered_colours(len(curves)), strict=True)
+    ]
+    return Chart(title, alt, lines)
 
 
 def _mean_di(studies: Studies) -> Figure:
@@ -240,13 +245,10 @@ def _mean_di(studies: Studies) -> Figure:
         values = DEFORMATION.shown([*study.mean_di.values()])
         lines.append(Line(payloads_kg, values, colour, marker="o"))
         legend.append(LegendEntry(colour, motion))
-        listed.append(
-            f"{motion}: "
-            + ", ".join(f"{DEFORMATION.text(v)} at {kg} kg" for kg, v in study.mean_di.items())
-        )
-    chart = Chart("1DOF and 2DOF", f"Mean DI over payload. {'; '.join(listed)}.", lines)
+        listed.append(f"{motion}: " + ", ".join(map(DEFORMATION.text, study.mean_di.values())))
+    alt = f"Mean DI over payload. {'; '.join(listed)}."
     panels = line_panels(
-        [chart], PAYLOAD.label("payload"), DEFORMATION.label("mean DI"),
+        [Chart("All motions", alt, lines)], PAYLOAD.label("payload"), DEFORMATION.label("mean DI"),
         ylim=(0, None), xticks=payloads_kg,
     )  # fmt: skip
     return Figure("Mean DI by payload", "Rows of trial 1 in motion.", panels, legend=legend)
@@ -256,7 +258,7 @@ def _mean_di(studies: Studies) -> Figure:
 
 
 def error_figures(studies: Studies) -> list[Figure]:
-    """Draw the error figures, one panel for each study with a trial 2."""
+    """Errors over time, over the degree and by DI, a panel for each study with a trial 2."""
     tested = {name: study for name, study in studies.items() if TEST in study.tests}
     if not tested:
         return []
@@ -267,20 +269,16 @@ def _error_over_time(studies: Studies) -> Figure:
     charts = []
     for name, study in studies.items():
         error = study.series.error[TEST]
-        curves = error.euclidean_distance_m
-        lines = [
-            Line(error.time_s, LENGTH.shown(curve), colour, width=1.0)
-            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True)
-        ]
+        curves = [(error.time_s, curve) for curve in error.euclidean_distance_m.values()]
         alt = f"Euclidean distance over time, {name}, mean over payloads, a line for each degree."
-        charts.append(Chart(name, alt, lines))
+        charts.append(_curves(name, alt, curves, TIME, LENGTH))
     degrees = next(iter(studies.values())).series.error[TEST].euclidean_distance_m
     return Figure(
         "Error of the predictors over time",
         "With true DI; trained on trial 1, tested on trial 2, mean over the payloads.",
         line_panels(charts, TIME.label("time"), LENGTH.label("distance"), log=True),
         legend=_ordered_legend(f"degree {d}" for d in degrees),
-    )  # fmt: skip
+    )
 
 
 def _error_over_degree(studies: Studies) -> Figure:
@@ -297,8 +295,7 @@ def _error_over_degree(studies: Studies) -> Figure:
             folds = study.cross_validation["with_di"].values()
             if held_out := [v for f in folds if (v := getattr(f, kind)) is not None]:
                 lines.append(Line(degrees, LENGTH.shown(held_out), INK, dash))
-        listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(mean, 1))
-        alt = f"Mean Euclidean distance on trial 2, {name}: {listed}."
+        alt = f"Mean Euclidean distance on trial 2 by degree, {name}: {_numbers(mean)} mm."
         charts.append(Chart(name, alt, lines))
     return Figure(
         "Error over the degree",
@@ -306,7 +303,7 @@ def _error_over_degree(studies: Studies) -> Figure:
         "The degree is chosen by payloads left out of trial 1, never by trial 2.",
         line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
         legend=[LegendEntry(BLUE, "trial 2"),
-         *(LegendEntry(INK, label, dash) for label, dash in FOLDS.values())],
+                *(LegendEntry(INK, label, dash) for label, dash in FOLDS.values())],
     )  # fmt: skip
 
 
@@ -315,13 +312,10 @@ def _gain_by_di(studies: Studies) -> Figure:
     for name, study in studies.items():
         distances = {variant: _pooled(study, variant) for variant in VARIANTS}
         lines = [
-            Line(range(1, len(of_variant) + 1), of_variant, BLUE, VARIANTS[variant][1], marker="o")
-            for variant, of_variant in distances.items()
+            Line(range(1, len(values) + 1), values, BLUE, VARIANTS[variant][1], marker="o")
+            for variant, values in distances.items()
         ]
-        listed = "; ".join(
-            f"{VARIANTS[variant][0]} {', '.join(f'{v:.1f}' for v in of_variant)} mm"
-            for variant, of_variant in distances.items()
-        )
+        listed = "; ".join(f"{VARIANTS[v][0]} {_numbers(d)} mm" for v, d in distances.items())
         alt = f"Mean Euclidean distance by degree, from 1, {name}: {listed}."
         charts.append(Chart(name, alt, lines))
     return Figure(
@@ -330,7 +324,11 @@ def _gain_by_di(studies: Studies) -> Figure:
         "predictor that was trained on estimated DI.",
         line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
         legend=[LegendEntry(BLUE, label, dash) for label, dash in VARIANTS.values()],
-    )  # fmt: skip
+    )
+
+
+def _numbers(values: Array) -> str:
+    return ", ".join(f"{value:.1f}" for value in values)
 
 
 def _pooled(study: StudyDocument, variant: str) -> Array:
@@ -350,13 +348,8 @@ def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
                 Line(curves.time_s, DEFORMATION.shown(getattr(curves, source)), colour, dash, 1.2)
                 for source, (_, colour, dash) in SOURCES.items()
             ]
-            scores = study.estimators[test]
             title = f"{dof}DOF, {motion_words(test)}"
-            alt = (
-                f"DI of the heaviest payload over time, {title}; over all payloads R² is "
-                f"{scores['observer'].r2_di:.2f} for the observer and "
-                f"{scores['lagged'].r2_di:.2f} for the lagged regressor."
-            )
+            alt = f"DI of the heaviest payload over time, {title}, measured and estimated."
             charts.append(Chart(title, alt, lines))
     mixed = any(len(study.training.phase_2_rad) > 1 for study in studies.values())
     return Figure(
@@ -381,10 +374,7 @@ def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
                 Line(payloads_kg, values, *PREDICTORS[key][1:], marker="o")
                 for key, values in distances.items()
             ]
-            listed = "; ".join(
-                f"{PREDICTORS[key][0]} {values.min():.1f} to {values.max():.1f} mm"
-                for key, values in distances.items()
-            )
+            listed = "; ".join(f"{PREDICTORS[k][0]} {_numbers(d)} mm" for k, d in distances.items())
             alt = f"Mean distance to the measured end effector by payload: {listed}."
             charts.append(Chart(f"{dof}DOF, {motion_words(test)}", alt, lines))
     degrees = ", ".join(f"{dof}DOF {study.chosen_degree}" for dof, study in studies.items())
