@@ -45,10 +45,11 @@ class Notice:
 
 @dataclass(frozen=True)
 class TableCell:
-    """Text of a cell, and whether it meets its target (None without a target)."""
+    """Text of a cell, whether it meets its target, and a shade between 0 and 1 for its size."""
 
     text: Text
-    met: bool | None = None
+    met: bool | None = None  # None without a target
+    shade: float | None = None
 
 
 Cell = TableCell | Text
@@ -115,7 +116,7 @@ class CommandList:
 
 @dataclass(frozen=True)
 class Folded:
-    """Parts that the reader unfolds; paper shows their title alone."""
+    """Parts that the reader unfolds; paper shows them."""
 
     macro: ClassVar = "folded"
     title: str

@@ -7,10 +7,7 @@ falling lightness.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from matplotlib.colors import Colormap
+from typing import Final
 
 INK: Final = "#1f2933"
 """Text, axes, and measured signals."""
@@ -51,8 +48,6 @@ DARK_PAGE_COLOURS: Final = {
     "simulated": "#eaa872", "measured": "#86bfe6", "mixed": "#c7abea", "unknown": "#a9b3bd",
 }  # fmt: skip
 """The same for readers who prefer dark pages; figures keep the light colours."""
-HEAT: Final = ("#fff7ec", "#fdcc8a", "#e34a33", "#7f0000")
-"""White over orange to dark red (ColorBrewer, OrRd)."""
 
 
 def css_variables() -> str:
@@ -76,10 +71,3 @@ def ordered_colours(count: int) -> list[str]:
     ramp = matplotlib.colormaps["plasma_r"]
     fractions = [0.22 + 0.74 * k / max(count - 1, 1) for k in range(count)]
     return [str(to_hex(ramp(fraction))) for fraction in fractions]
-
-
-def heat_colours() -> Colormap:
-    """The heat ramp as a colour map over 0 to 1."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("heat", HEAT)

@@ -25,18 +25,14 @@ class SignalFloor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Noise floor by signal; `learned` is false where the plant file has none.
+    """Noise floor by signal."""
 
-    `own_error` states by group of trials whether the plant's own error was `measured` on trials
-    like these, `transferred` from others of the same motion with another length, step or rest, or
-    is `unknown`; an unknown error is not subtracted. `amplification` is the factor in amplitude, by
-    payload in kg, by which the floor exceeds that of the plant file, where repetitions differ far
-    more than that.
-    """
-
-    learned: bool
+    learned: bool  # False where the plant file has no floor
     signals: dict[str, SignalFloor]
+    # How the plant's own error is known, by group of trials; an unknown one is not subtracted
     own_error: dict[str, Knowledge] = {}
+    # Factor in amplitude, by payload in kg, by which the floor exceeds that of the plant file,
+    # where repetitions differ far more than that
     amplification: dict[str, float] = {}
 
 

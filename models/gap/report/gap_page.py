@@ -65,7 +65,7 @@ def write_gap_page(
     page = render_page(
         "The gap between plant and measurement",
         [origin_notice(origins_of(trials)), *lead],
-        gap_sections(document, trials),
+        gap_sections(document),
     )
     path.write_text(page, encoding="utf-8")
     return path
@@ -152,12 +152,12 @@ def _checks(document: GapDocument) -> list[Part]:
     return [Table("What to check on the robot", ["effect", "check"], rows)] if rows else []
 
 
-def gap_sections(document: GapDocument, trials: Sequence[Trial]) -> list[Section]:
+def gap_sections(document: GapDocument) -> list[Section]:
     """Sections of the page below its lead; the last one lists the effects that were not named."""
-    where = localisation_maps(document.map, trials[0], FALSE_DISCOVERY_RATE)
+    where = localisation_maps(document.map, FALSE_DISCOVERY_RATE)
     result = [
         Section("what", "What is missing, and what else could explain it", _what(document)),
-        Section("where", "Where the gap is", [Paragraph(document.sentence), where]),
+        Section("where", "Where the gap is", [Paragraph(document.sentence), *where]),
         Section("written", "What was written to the plant", _written(document)),
     ]
     if notes := notes_in_words(document):
