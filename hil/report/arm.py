@@ -88,10 +88,10 @@ def arm_motion(loop: LoopRun) -> ArmMotion | None:
 
 
 def _cycle(loop: LoopRun) -> NDArray[np.bool_]:
-    """Ticks of the last period of the first motion, or the first seconds of another run."""
-    time_s = loop.time_s()
-    programme = loop.timing.run.programme_s
-    end_s = programme.get("rest", 0.0) + programme.get("motion", MOST_CYCLE_S)
+    """Ticks of the last period of the first motion, or the first seconds of a run without one."""
+    time_s, programme_s = loop.time_s(), loop.timing.run.programme_s
+    end_s = programme_s.get("rest", 0.0) + programme_s.get("motion", MOST_CYCLE_S)
+    end_s = min(end_s, float(time_s[-1]))
     period_s = min(loop.period_s or MOST_CYCLE_S, MOST_CYCLE_S)
     return (time_s >= end_s - period_s) & (time_s <= end_s)
 

@@ -307,26 +307,22 @@ def _without_trust(run: PlannedRun) -> list[Panel]:
         Line(run.time_s, ANGLE.shown(column), colour, width=1.0)
         for column, colour in zip(beyond_rad.T, SERIES, strict=False)
     ]
-    distance = Line(run.time_s, LENGTH.shown(run.away_m), PURPLE, width=1.0)
-    charts = [
-        (Chart(f"{run.dof}DOF, {_payload_words(run)}",
-               f"Distance from the path, {LENGTH.text(run.max_m)} at most.", [distance]),
-         LENGTH.label("distance from the path")),
-        (Chart("corrections of the joints",
-               f"Corrections of the goals, {ANGLE.text(np.abs(beyond_rad).max())} at most.",
-               corrections),
-         ANGLE.label("correction")),
-    ]  # fmt: skip
+    distance = [Line(run.time_s, LENGTH.shown(run.away_m), PURPLE, width=1.0)]
     untrusted = np.concatenate([[False], run.trust > TrustState.TRUSTED, [False]])
     edges_s = run.plan.period_s * np.flatnonzero(np.diff(untrusted.astype(int)))
+    most_mm, most_deg = LENGTH.text(run.max_m), ANGLE.text(np.abs(beyond_rad).max())
+    name = f"{run.dof}DOF, {_payload_words(run)}"
     panels = []
-    for (title, alt, lines), ylabel in charts:
+    for title, lines, ylabel in (
+        (f"{name}: distance from the path, {most_mm} at most", distance, LENGTH.label("distance")),
+        (f"Corrections of the joints, {most_deg} at most", corrections, ANGLE.label("correction")),
+    ):
         with Drawing() as (drawing, ax):
             for start_s, end_s in edges_s.reshape(-1, 2):
                 ax.axvspan(start_s, end_s, color=SPAN, lw=0)
             plot_lines(ax, lines)
             ax.set(xlabel=TIME.label("time"), ylabel=ylabel)
-        panels.append(drawing.panel(title, alt))
+        panels.append(drawing.panel(title, f"{title}; shaded where the estimate is not trusted."))
     return panels
 
 

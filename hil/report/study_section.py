@@ -21,7 +21,6 @@ from firmware_py.core.units import (
     FRACTION,
     LENGTH,
     PAYLOAD,
-    POSITION,
     TIME,
     DisplayUnit,
 )
@@ -49,8 +48,8 @@ Array = NDArray[np.float64]
 Studies = Mapping[str, StudyDocument]
 """Studies by their label, such as "2DOF, phase 0°"."""
 
-PLANES: Final = {"x–z plane": ("x", "z"), "y–z plane": ("y", "z"), "from above": ("x", "y")}
-"""Axes of each view of the link."""
+PLANES: Final = {"x–z plane": ("x", "z"), "from above": ("x", "y")}
+"""Axes of each view of the tip."""
 TEST: Final = "trial_2"
 VARIANTS: Final = {
     "with_di": ("true DI", "solid"),
@@ -127,9 +126,9 @@ def comparison_with_paper(studies: Studies) -> list[Part]:
         return []
     cells: list[list[Cell]] = [[c, Markup("<br>").join(words)] for c, words in rows.items()]
     note = (
-        "No parameter was tuned to the paper. Above are paths (its Fig. 7), shapes (8), DI over "
-        "the angle (9, 10) and by payload (11), errors over time (12, 13), over the degree (14) "
-        "and by DI (15). It does not state the phase by which joint 2 leads joint 1, so each "
+        "No parameter was tuned to the paper. Above are paths (its Fig. 7), DI over the angle "
+        "(9, 10) and by payload (11), errors over time (12, 13), over the degree (14) and by DI "
+        "(15). It does not state the phase by which joint 2 leads joint 1, so each "
         "phase has a study."
     )
     table = Table("", ["the paper reports", "these trials"], cells, note)
@@ -155,8 +154,8 @@ def _payload_legend(studies: Studies) -> list[LegendEntry]:
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
-    """Paths, shapes and DI, with a panel for each kind of motion."""
-    return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
+    """Paths and DI, with a panel for each kind of motion."""
+    return [_paths(studies), _di_over_angle(studies), _mean_di(studies)]
 
 
 def _paths(studies: Studies) -> Figure:
@@ -166,48 +165,22 @@ def _paths(studies: Studies) -> Figure:
         colours = ordered_colours(len(paths))
         # Where the paths coincide, each is thinner than the one beneath.
         widths = [1.1 + 0.8 * k for k in reversed(range(len(paths)))]
-        for plane in ("x–z plane", "from above")[: study.dof]:
-            h, v = PLANES[plane]
+        for plane, (h, v) in [*PLANES.items()][: study.dof]:
             lines = [
                 Line(getattr(path, f"tip_{h}_m"), getattr(path, f"tip_{v}_m"), colour, width=width)
                 for path, colour, width in zip(paths, colours, widths, strict=True)
             ]
             alt = f"Path of the end effector, {motion}, {plane}, one line per payload."
-            panels += _to_scale(Chart(f"{motion}, {plane}", alt, lines), plane)
+            panels += line_panels(
+                [Chart(f"{motion}, {plane}", alt, lines)], f"{h} in m", f"{v} in m",
+                aspect="equal", adjustable="datalim",
+            )  # fmt: skip
     return Figure(
         "Paths of the end effector",
         "The base joint is at the origin; at angle zero the link is along z. The lines get thinner "
         "from the lightest payload to the heaviest.",
         panels, legend=_payload_legend(studies),
     )  # fmt: skip
-
-
-def _poses(studies: Studies) -> Figure:
-    panels: list[Panel] = []
-    for motion, study in studies.items():
-        poses = study.series.poses
-        line_m = np.array(poses.centre_line_m, dtype=np.float64)
-        whole_m = np.concatenate([np.zeros((len(line_m), 1, 3)), line_m], axis=1)
-        colours = ordered_colours(len(whole_m))
-        for plane in ("x–z plane", "y–z plane")[: study.dof]:
-            h, v = ("xyz".index(axis) for axis in PLANES[plane])
-            lines = [
-                Line(points[:, h], points[:, v], colour, marker="o")
-                for points, colour in zip(whole_m, colours, strict=True)
-            ]
-            alt = f"Centre line of the link at {len(line_m)} equal times of the first cycle."
-            title = f"{motion}, {plane}, {PAYLOAD.significant(poses.payload_kg)}"
-            panels += _to_scale(Chart(title, alt, lines), plane)
-    times_s = next(iter(studies.values())).series.poses.time_s
-    return Figure(
-        "Shape of the link", "Centre line through base plate and marker rows, to scale.",
-        panels, legend=_ordered_legend(map(TIME.text, times_s)),
-    )  # fmt: skip
-
-
-def _to_scale(chart: Chart, plane: str) -> list[Panel]:
-    h, v = map(POSITION.label, PLANES[plane])
-    return line_panels([chart], h, v, aspect="equal", adjustable="datalim")
 
 
 def _di_over_angle(studies: Studies) -> Figure:
