@@ -1,24 +1,22 @@
 """The arm of a run in 3-D, moving: the link, the robot's prediction of it, and a rigid link.
 
 The picture is a list of strokes on the picture plane. The report shows them as an SVG that moves
-without a script, so a server that blocks scripts shows it too; the README shows them as a GIF.
+without a script, so a server that blocks scripts shows it too; `readme_images` writes a GIF.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw
 
 from firmware_py.core.units import LENGTH
 from firmware_py.log.scene import LinkPose, LinkShape, pose_link
 from hil.report.build_inputs import LoopRun
 from models.shared.pages import LegendEntry, Panel
-from models.shared.palette import BLUE, GRID, MUTED, ORANGE, PAGE_COLOURS, PAPER
+from models.shared.palette import BLUE, GRID, MUTED, ORANGE, PAGE_COLOURS
 
 Array = NDArray[np.float64]
 
@@ -152,14 +150,14 @@ def _onto_picture(points_m: Array) -> Array:
     return np.asarray(points_m @ np.column_stack([right, up]))
 
 
-def _frame(strokes: list[Stroke]) -> tuple[Array, Array]:
+def frame_of(strokes: list[Stroke]) -> tuple[Array, Array]:
     """Lower left and upper right corner of the picture, in m."""
     points = np.concatenate([stroke.points.reshape(-1, 2) for stroke in strokes])
     margin = max(stroke.width_m for stroke in strokes)
     return points.min(axis=0) - margin, points.max(axis=0) + margin
 
 
-# --- SVG and GIF --------------------------------------------------------------------------------
+# --- SVG ----------------------------------------------------------------------------------------
 
 
 def arm_panel(motion: ArmMotion, loop: LoopRun) -> Panel:
@@ -175,7 +173,7 @@ def arm_panel(motion: ArmMotion, loop: LoopRun) -> Panel:
 def _svg(strokes: list[Stroke], duration_s: float, name: str) -> str:
     """SVG in which the points of the strokes move; the scale is 400 units per metre."""
     scale = 400.0
-    low, high = _frame(strokes)
+    low, high = frame_of(strokes)
     width, height = scale * (high - low)
     begin = f"0s;{name}.click"
     rows = []
@@ -206,40 +204,3 @@ def _svg(strokes: list[Stroke], duration_s: float, name: str) -> str:
 def _twice(points: Array) -> Array:
     """A point as a line of no length, which is drawn as a dot."""
     return np.repeat(points, 2, axis=1)
-
-
-def write_arm_gif(motion: ArmMotion, path: Path, width_px: int = 600) -> None:
-    """Write the moving picture as a GIF that repeats."""
-    strokes, smooth = arm_strokes(motion), 2  # drawn larger and reduced, for smooth edges
-    low, high = _frame(strokes)
-    scale = smooth * width_px / (high[0] - low[0])
-    width, height = np.ceil(scale * (high - low)).astype(int).tolist()
-    resting = Image.new("RGB", (width, height), PAPER)
-    for stroke in strokes:
-        if len(stroke.points) == 1:
-            _draw(resting, scale * np.abs(stroke.points[0] - (low[0], high[1])), scale, stroke)
-    pictures = []
-    for k in range(FRAMES):
-        picture = resting.copy()
-        for stroke in strokes:
-            if len(stroke.points) > 1:
-                _draw(picture, scale * np.abs(stroke.points[k] - (low[0], high[1])), scale, stroke)
-        small = picture.resize((width_px, height // smooth), Image.Resampling.LANCZOS)
-        pictures.append(small.quantize(48))
-    pictures[0].save(
-        path, save_all=True, append_images=pictures[1:], loop=0, optimize=True,
-        duration=round(1e3 * motion.duration_s / FRAMES),
-    )  # fmt: skip
-
-
-def _draw(picture: Image.Image, points: Array, scale: float, stroke: Stroke) -> None:
-    """Draw a stroke with round ends; its opacity is that of the whole stroke."""
-    mask = Image.new("L", picture.size, 0)
-    brush, shade = ImageDraw.Draw(mask), round(255 * stroke.opacity)
-    radius = 0.5 * scale * stroke.width_m
-    every = 2 if stroke.dashed else 1
-    for start, end in zip(points[:-1:every], points[1::every], strict=True):
-        brush.line([*start, *end], fill=shade, width=round(2 * radius))
-    for x, y in points:
-        brush.ellipse([x - radius, y - radius, x + radius, y + radius], fill=shade)
-    picture.paste(ImageColor.getrgb(stroke.colour), (0, 0), mask)

@@ -97,8 +97,11 @@ def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:
         for dof, part in evaluation.dof.items()
     }
     parts = columns.values()
-    of_tip: list[list[Cell]] = [["all payloads", *map(_beside_rigid, parts)]]
-    of_tip += [
+    tip: list[list[Cell]] = [
+        [name, _length(part.tip_rms_m), _length(part.rigid_tip_rms_m)]
+        for name, part in columns.items()
+    ]
+    of_payload: list[list[Cell]] = [
         [f"{kg} kg", *(_beside_rigid(part.payloads.get(kg)) for part in parts)]
         for kg in dict.fromkeys(kg for part in parts for kg in part.payloads)
     ]
@@ -106,15 +109,19 @@ def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:
         [signal_words(name), *(_signal_error(part.signals.get(name)) for part in parts)]
         for name in sorted({name for part in parts for name in part.signals})
     ]
-    tip = Table(
-        "Tip of the plant on trials that it was not fitted to",
-        ["", *columns],
-        of_tip,
-        "RMS error, in brackets that of rigid kinematics: a link that does not bend, at the "
-        "measured angles.",
-    )
-    note = "RMS error, in brackets the mean absolute error."
-    return [tip, Folded("Errors of every signal", [Table("", ["", *columns], of_signals, note)])]
+    title = "Tip of the plant on trials that it was not fitted to, RMS error"
+    note = "Rigid kinematics: a link that does not bend, at the measured angles."
+    head = ["", *columns]
+    folded: list[Table] = []
+    if of_payload:
+        with_rigid = "RMS error, in brackets that of rigid kinematics."
+        folded.append(Table("Tip by payload", head, of_payload, with_rigid))
+    with_mean = "RMS error, in brackets the mean absolute error."
+    folded.append(Table("Signals", head, of_signals, with_mean))
+    return [
+        Table(title, ["trials", "plant", "rigid kinematics"], tip, note),
+        Folded("Errors by payload and signal", folded),
+    ]
 
 
 def _signal_error(error: SignalError | None) -> str:
@@ -122,6 +129,10 @@ def _signal_error(error: SignalError | None) -> str:
         return NO_VALUE
     unit = error_unit(error.unit)
     return f"{unit.significant(error.rms)} ({unit.factor * error.mae:.3g})"
+
+
+def _length(value_m: float | None) -> str:
+    return NO_VALUE if value_m is None else LENGTH.text(value_m)
 
 
 def _beside_rigid(error: TipError | None) -> str:

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from dropstitch.__main__ import main
-from hil.report.arm import arm_motion, write_arm_gif
+from hil.report.arm import arm_motion
 from hil.report.build_inputs import LoopRun, read_build
 from hil.report.build_page import origin_table, report_notices, report_page
 from hil.report.loop_section import (
@@ -23,6 +23,7 @@ from hil.report.loop_section import (
     verdict_sentence,
 )
 from hil.report.plant_section import linear_parts
+from hil.report.readme_images import write_arm_gif
 from hil.report.study_section import candidate_table, comparison_with_paper, motion_figures
 from hil.sil.timing_verdict import TimingVerdict, judge_timing
 from models.plant.plant import NOMINAL, read_plant
