@@ -101,7 +101,8 @@ class LoopRun:
 
     def time_s(self) -> Array:
         """Time of each recorded tick, from the first one."""
-        return self.column("time_s") - self.column("time_s")[0]
+        time_s = self.column("time_s")
+        return np.asarray(time_s - time_s[0])
 
     def angle_rad(self) -> Array:
         """Joint angles in each recorded tick, (n, dof)."""

@@ -119,8 +119,9 @@ def comparison_with_paper(studies: Studies) -> list[Part]:
     rows: dict[str, list[str]] = {}
     for name, study in studies.items():
         for finding in study.findings:
-            _, _, measured = finding.text.partition(": ")
-            words = f"{name}: {VERDICTS[finding.holds]}; {measured.replace('trial_2', 'trial 2')}"
+            _, _, measured = finding.text.partition(": ")  # after the verdict
+            measured = (measured or finding.text).replace("trial_2", "trial 2")
+            words = f"{name}: {VERDICTS[finding.holds]}; {measured}"
             rows.setdefault(finding.claim, []).append(words)
     if not rows:
         return []

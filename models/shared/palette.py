@@ -39,6 +39,7 @@ PAGE_COLOURS: Final = {
     "line": "#dfe4e9", "strong-line": "#b9c2cb", "shade": "#f5f7f9",
     "link": "#1d5f8a", "met": "#1f6f43", "unmet": "#a3231b",
     "simulated": "#8f4a12", "measured": "#1d5f8a", "mixed": "#6a3d9a", "unknown": "#5b6673",
+    "large": "#e34a33",
 }  # fmt: skip
 """Variables of `style.css`; text keeps a contrast of at least 4.5 on paper and shade."""
 DARK_PAGE_COLOURS: Final = {
@@ -46,6 +47,7 @@ DARK_PAGE_COLOURS: Final = {
     "line": "#2f3841", "strong-line": "#5a6570", "shade": "#1f262d",
     "link": "#86bfe6", "met": "#6cc795", "unmet": "#f29186",
     "simulated": "#eaa872", "measured": "#86bfe6", "mixed": "#c7abea", "unknown": "#a9b3bd",
+    "large": "#e34a33",
 }  # fmt: skip
 """The same for readers who prefer dark pages; figures keep the light colours."""
 

@@ -123,13 +123,13 @@ def _errors(document: GapDocument) -> Table:
     for signal, before, after in errors_in_order(document):
         unit, name = error_unit(before.unit), signal_in_words(signal)
         row: list[Cell] = [
-            name[0].upper() + name[1:],
-            unit.significant(before.rms),
-            unit.significant(after.rms),
+            unit.label(name[0].upper() + name[1:]),
+            f"{unit.factor * before.rms:.3g}",
+            f"{unit.factor * after.rms:.3g}",
             _change(after.rms / before.rms - 1) if before.rms else NO_VALUE,
         ]
         if floor:
-            row.append(unit.significant(floor[signal]) if signal in floor else NO_VALUE)
+            row.append(f"{unit.factor * floor[signal]:.3g}" if signal in floor else NO_VALUE)
         rows.append(row)
     head = ["", "before", "after", "change", *(["noise floor"] if floor else [])]
     title = errors_of_what(document)
