@@ -51,21 +51,25 @@ Studies = Mapping[str, StudyDocument]
 PLANES: Final = {"x–z plane": ("x", "z"), "from above": ("x", "y")}
 """Axes of each view of the tip."""
 TEST: Final = "trial_2"
-VARIANTS: Final = {
-    "with_di": ("true DI", "solid"),
-    "estimated_di": ("estimated DI (robot)", "dashed"),
-    "without_di": ("without DI", "dotted"),
+BY_DEGREE: Final = "Mean Euclidean distance in mm on trial 2 by degree"
+Look = tuple[str, str, str]
+"""Label, colour and dash of a line."""
+VARIANTS: Final[dict[str, Look]] = {
+    "with_di": ("true DI", BLUE, "solid"),
+    "estimated_di": ("estimated DI (robot)", BLUE, "dashed"),
+    "without_di": ("without DI", BLUE, "dotted"),
 }
-FOLDS: Final = {
-    "leave_one_payload_out_m": ("payloads left out of trial 1", "dashed"),
-    "blocks_m": ("blocks of time left out of trial 1", "dotted"),
+FOLDS: Final[dict[str, Look]] = {
+    "trial_2": ("trial 2", BLUE, "solid"),
+    "leave_one_payload_out_m": ("payloads left out of trial 1", INK, "dashed"),
+    "blocks_m": ("blocks of time left out of trial 1", INK, "dotted"),
 }
-SOURCES: Final = {
+SOURCES: Final[dict[str, Look]] = {
     "true": ("motion capture", INK, "solid"),
     "observer": ("plant observer", BLUE, "dashed"),
     "lagged": ("lagged regressor", AMBER, "dotted"),
 }
-PREDICTORS: Final = {
+PREDICTORS: Final[dict[str, Look]] = {
     "rigid": ("rigid kinematics", MUTED, "solid"),
     "without": ("polynomial without DI", AMBER, "dotted"),
     "estimated": ("polynomial, estimated DI (robot)", BLUE, "solid"),
@@ -258,51 +262,51 @@ def _error_over_time(studies: Studies) -> Figure:
 def _error_over_degree(studies: Studies) -> Figure:
     charts = []
     for name, study in studies.items():
-        table = study.std_euclidean_distance_m[TEST]["pooled"]["with_di"]
-        mean, deviation = _pooled(study, "with_di"), LENGTH.shown([*table.values()])
-        degrees = range(1, len(mean) + 1)
-        lines = [
-            Line(degrees, mean, BLUE, marker="o"),
-            Line(degrees, mean + deviation, BLUE, width=0.6),
-        ]
-        for kind, (_, dash) in FOLDS.items():
-            folds = study.cross_validation["with_di"].values()
-            if held_out := [v for f in folds if (v := getattr(f, kind)) is not None]:
-                lines.append(Line(degrees, LENGTH.shown(held_out), INK, dash))
-        alt = f"Mean Euclidean distance on trial 2 by degree, {name}: {_numbers(mean)} mm."
-        charts.append(Chart(name, alt, lines))
+        curves = {"trial_2": _pooled(study, "with_di")}
+        for kind in ("leave_one_payload_out_m", "blocks_m"):
+            folds = [getattr(f, kind) for f in study.cross_validation["with_di"].values()]
+            if None not in folds:
+                curves[kind] = LENGTH.shown(folds)
+        degrees = range(1, len(curves["trial_2"]) + 1)
+        charts.append(_compared(name, BY_DEGREE, degrees, curves, FOLDS))
     return Figure(
         "Error over the degree",
-        "With true DI, pooled over payloads; thin: one standard deviation of the samples above. "
-        "The degree is chosen by payloads left out of trial 1, never by trial 2.",
+        "With true DI, pooled over payloads. The degree is chosen by payloads left out of trial "
+        "1, never by trial 2.",
         line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
-        legend=[LegendEntry(BLUE, "trial 2"),
-                *(LegendEntry(INK, label, dash) for label, dash in FOLDS.values())],
-    )  # fmt: skip
+        legend=_legend(FOLDS),
+    )
 
 
 def _gain_by_di(studies: Studies) -> Figure:
     charts = []
     for name, study in studies.items():
         distances = {variant: _pooled(study, variant) for variant in VARIANTS}
-        lines = [
-            Line(range(1, len(values) + 1), values, BLUE, VARIANTS[variant][1], marker="o")
-            for variant, values in distances.items()
-        ]
-        listed = "; ".join(f"{VARIANTS[v][0]} {_numbers(d)} mm" for v, d in distances.items())
-        alt = f"Mean Euclidean distance by degree, from 1, {name}: {listed}."
-        charts.append(Chart(name, alt, lines))
+        degrees = range(1, len(distances["with_di"]) + 1)
+        charts.append(_compared(name, BY_DEGREE, degrees, distances, VARIANTS))
     return Figure(
         "Accuracy gained by DI",
         "Trained on trial 1, tested on trial 2. The robot has no motion capture: it uses the "
         "predictor that was trained on estimated DI.",
         line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
-        legend=[LegendEntry(BLUE, label, dash) for label, dash in VARIANTS.values()],
+        legend=_legend(VARIANTS),
     )
 
 
-def _numbers(values: Array) -> str:
-    return ", ".join(f"{value:.1f}" for value in values)
+def _compared(
+    title: str, about: str, x: Sequence[float], curves: Mapping[str, Array],
+    looks: Mapping[str, Look], marker: str = "o",
+) -> Chart:  # fmt: skip
+    """Chart of several curves over the same x; `looks` by the curves' keys."""
+    lines = [Line(x, y, *looks[key][1:], marker=marker) for key, y in curves.items()]
+    means = "; ".join(
+        f"{looks[key][0]} {np.nanmean(y):.2g} on average" for key, y in curves.items()
+    )
+    return Chart(title, f"{about}, {title}: {means}.", lines)
+
+
+def _legend(looks: Mapping[str, Look]) -> list[LegendEntry]:
+    return [LegendEntry(colour, label, dash) for label, colour, dash in looks.values()]
 
 
 def _pooled(study: StudyDocument, variant: str) -> Array:
@@ -314,29 +318,25 @@ def _pooled(study: StudyDocument, variant: str) -> Array:
 
 
 def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
-    """Draw the DI of the heaviest payload over time, by source, on every test."""
+    """DI of the heaviest payload over time, by source, on every test."""
     charts = []
     for dof, study in studies.items():
         for test, curves in study.series.estimates.items():
-            lines = [
-                Line(curves.time_s, DEFORMATION.shown(getattr(curves, source)), colour, dash, 1.2)
-                for source, (_, colour, dash) in SOURCES.items()
-            ]
+            di = {source: DEFORMATION.shown(getattr(curves, source)) for source in SOURCES}
             title = f"{dof}DOF, {motion_words(test)}"
-            alt = f"DI of the heaviest payload over time, {title}, measured and estimated."
-            charts.append(Chart(title, alt, lines))
+            charts.append(_compared(title, "DI in % over time", curves.time_s, di, SOURCES, ""))
     mixed = any(len(study.training.phase_2_rad) > 1 for study in studies.values())
     return Figure(
         "DI without motion capture",
         "Heaviest payload of each test" + (", 2DOF at its smallest phase." if mixed else "."),
         line_panels(charts, TIME.label("time"), DEFORMATION.label("DI"), ylim=(0, None)),
-        legend=[LegendEntry(colour, label, dash) for label, colour, dash in SOURCES.values()],
+        legend=_legend(SOURCES),
     )
 
 
 def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
-    """Draw the mean distance of every tip predictor by payload, on every test."""
-    charts, payloads_kg = [], []
+    """Mean distance of every tip predictor by payload, on every test."""
+    charts, payloads_kg = [], list[float]()
     for dof, study in studies.items():
         for test, of_test in study.tests.items():
             payloads_kg = list(of_test.payload_kg)
@@ -344,13 +344,9 @@ def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
                 key: LENGTH.shown([by_payload[f"{kg:g}"] for kg in payloads_kg])
                 for key, by_payload in _by_payload(study, test).items()
             }
-            lines = [
-                Line(payloads_kg, values, *PREDICTORS[key][1:], marker="o")
-                for key, values in distances.items()
-            ]
-            listed = "; ".join(f"{PREDICTORS[k][0]} {_numbers(d)} mm" for k, d in distances.items())
-            alt = f"Mean distance to the measured end effector by payload: {listed}."
-            charts.append(Chart(f"{dof}DOF, {motion_words(test)}", alt, lines))
+            title = f"{dof}DOF, {motion_words(test)}"
+            about = "Mean distance in mm to the measured tip by payload"
+            charts.append(_compared(title, about, payloads_kg, distances, PREDICTORS))
     degrees = ", ".join(f"{dof}DOF {study.chosen_degree}" for dof, study in studies.items())
     return Figure(
         "Tip error by predictor",
@@ -359,7 +355,7 @@ def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
             charts, PAYLOAD.label("payload"), LENGTH.label("mean distance"), log=True,
             xticks=payloads_kg,
         ),
-        legend=[LegendEntry(colour, label, dash) for label, colour, dash in PREDICTORS.values()],
+        legend=_legend(PREDICTORS),
     )  # fmt: skip
 
 
