@@ -253,7 +253,7 @@ def read_loop(directory: Path) -> LoopRun:
 
 def read_commands(*paths: Path) -> list[str]:
     """Read the logged commands without duplicates, in the order of their last use."""
-    logs = [read_text(path, "make it again") for path in paths]
+    logs = [read_text(path, "make it again") for path in paths if path.is_file()]
     lines = [line.strip() for log in logs for line in log.splitlines()]
     last = {line: k for k, line in enumerate(lines) if line}
     return sorted(last, key=last.__getitem__)
