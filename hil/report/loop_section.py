@@ -202,9 +202,9 @@ def timing_parts(loops: Sequence[LoopRun]) -> list[Part]:
         *(timing_figure(loop) for loop in timed if loop.ticks is not None),
         Paragraph(
             "The end of a tick counts from the start of its slot. Own cost: without the wake-up "
-            "latency and without waiting for the bus. Preempted by the host: time in which the "
-            "kernel ran other processes, or the hypervisor other machines; the table adds what "
-            "the reference process saw.",
+            "latency and without waiting for the bus. Run queue and steal: time in which the "
+            "kernel ran other processes, or the hypervisor other machines. Of that, the table "
+            "counts as preemption what the measurement itself did not take.",
             "note",
         ),
         Folded("Durations of the stages", [_duration_table(loop) for loop in timed]),
@@ -264,7 +264,7 @@ def timing_figure(loop: LoopRun) -> Figure:
         legend=[
             LegendEntry(WHOLE, "end of a tick in its slot"),
             LegendEntry(OWN, "own cost of a tick"),
-            LegendEntry(MUTED, "preempted by the host"),
+            LegendEntry(MUTED, "run queue and steal, 0.5 ms or more"),
             LegendEntry(ALARM, f"deadline, {deadline_ms:g} ms", "dashed"),
         ],
     )

@@ -22,7 +22,7 @@ from models.shared.palette import PAPER
 
 Array = NDArray[np.float64]
 
-WINDOW = "1160,1000"
+WINDOW = "1160,1230"
 
 
 def main(build: Path, out: Path) -> None:
