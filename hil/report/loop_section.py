@@ -76,7 +76,13 @@ def error_parts(loops: Sequence[LoopRun]) -> list[Part]:
     parts: list[Part] = [_error_table(known)]
     if drawn := [loop for loop in known if loop.true_tip_m is not None]:
         parts.append(distance_figure(drawn))
-    return [*parts, Folded("Errors by part of the run", [prediction_table(own) for own in known])]
+    note = (
+        "During glide and rest the link still swings while the joints hardly move: angle, current "
+        "and DI, which has no sign, do not show to which side it bends. The observer's bend does. "
+        "Where the coverage is below 95\u00a0% the interval is too narrow."
+    )
+    tables = [prediction_table(loop) for loop in known]
+    return [*parts, Folded("Errors by part of the run", [*tables, Paragraph(note, "note")])]
 
 
 def _error_table(loops: Sequence[LoopRun]) -> Table:
@@ -181,9 +187,6 @@ def prediction_table(loop: LoopRun) -> Table:
         f"{loop.title}, in {LENGTH.name}",
         ["", "ticks", "mean", "95th percentile", "maximum", COVERS, "in range"],
         rows,
-        "During glide and rest the link still swings while the joints hardly move: angle, current "
-        "and DI, which has no sign, do not show to which side it bends. The observer's bend does. "
-        "Where the coverage is below 95\u00a0% the interval is too narrow.",
     )
 
 

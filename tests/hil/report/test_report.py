@@ -340,7 +340,7 @@ def test_prediction_and_plant_are_compared_tick_by_tick(build):
     summary, figure, folded = error_parts([loop])
     assert row_of(summary, "1DOF")[1].text == f"{1e3 * distance_m.mean():.1f}"
     assert len(figure.panels) == 1
-    (table,) = folded.parts
+    table, _ = folded.parts
     assert row_of(table, "all ticks")[1].text == str(error.n)
     counts = [int(row_of(table, w)[1].text) for w in ("rest between", "motion, as", "stop")]
     assert sum(counts) == error.n  # three seconds reach no glide
