@@ -1,7 +1,7 @@
 """The arm of a run in 3-D, moving: the link, the robot's prediction of it, and a rigid link.
 
 The picture is a list of strokes on the picture plane. The report shows them as an SVG that moves
-without a script, so a server that blocks scripts shows it too; `readme_images` writes a GIF.
+without a script, so a server that blocks scripts shows it too.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def plant_parts(plant: Plant | None, evaluations: Mapping[str, Evaluation]) -> l
 def linear_parts(plant: Plant) -> list[Part]:
     """Bode plot of the twin from the goal of joint 1 to tip x, and its modes, by payload."""
     heaviest_kg = (plant.link or STUDY_LINK).payload_kg
-    payloads_kg = [0.0, heaviest_kg / 2, heaviest_kg]
+    payloads_kg = list(dict.fromkeys([0.0, heaviest_kg / 2, heaviest_kg]))
     twins = LinearTwins(plant, 1, PERIOD_S)
     frequency_hz = np.geomspace(0.1, 0.9 * 0.5 / PERIOD_S, 400)
     z = np.exp(2j * np.pi * frequency_hz * PERIOD_S)
@@ -86,7 +86,7 @@ def linear_parts(plant: Plant) -> list[Part]:
         legend=legend,
     )
     header = ["payload", "mode in Hz", "damping ratio in %", "share of the link's bend in %"]
-    return [figure, Table("Modes", header, rows)]
+    return [figure, Table("Modes", header, rows)] if rows else [figure]
 
 
 def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:

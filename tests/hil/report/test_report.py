@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from bench.readme_images import write_arm_gif
 from dropstitch.__main__ import main
 from hil.report.arm import arm_motion
 from hil.report.build_inputs import LoopRun, read_build
@@ -23,7 +24,6 @@ from hil.report.loop_section import (
     verdict_sentence,
 )
 from hil.report.plant_section import linear_parts
-from hil.report.readme_images import write_arm_gif
 from hil.report.study_section import candidate_table, comparison_with_paper, motion_figures
 from hil.sil.timing_verdict import TimingVerdict, judge_timing
 from models.plant.plant import NOMINAL, read_plant

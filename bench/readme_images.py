@@ -1,4 +1,4 @@
-"""Pictures of the README: `python -m hil.report.readme_images build docs/images`.
+"""Pictures of the README: `python -m bench.readme_images build docs/images`.
 
 Writes link.gif from a run in the build directory, and report.png, the top of its report.html, if
 Chromium is installed.
