@@ -1,27 +1,24 @@
-"""Inputs of the report: the files of a build directory, any of which may be missing.
+"""Inputs of the report: what it recognises in the directories, any of which may be missing.
 
 ::
 
-    bundle_1dof/predictors.json, manifest.json  dropstitch train
-    bundle_1dof/study.json                      dropstitch train --study
-    study_2dof_phase90/study.json               dropstitch train --study-only --phase-deg 90
     plant.json                                  dropstitch identify
     evaluate*.json                              dropstitch evaluate … --json
-    check_twin_1dof.json                        dropstitch fmu check … --json
-    sil_1dof/timing.json, ticks.mcap, trial/    dropstitch sil
-    faults/faults.json                          make faults
-    commands.log                                make demo
-
-Other names work as well: a file is recognised by its contents. If several files compete for one
-place in the report, the one with the name above is shown and the others are listed.
+    check_*.json                                dropstitch fmu check … --json
+    commands.log                                make demo, make study
+    NAME/timing.json, ticks.mcap, trial/        dropstitch sil
+    NAME/faults.json                            make faults
+    NAME/predictors.json                        dropstitch train --compare
+    NAME/study.json                             dropstitch train --study, or --study-only
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -29,25 +26,22 @@ from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_json, read_text
-from firmware_py.inference.bundle import read_manifest
-from firmware_py.inference.manifest import Manifest
+from firmware_py.core.signals import tip_names
+from firmware_py.core.units import ANGLE, PAYLOAD
 from firmware_py.log.recording import read_recording
+from firmware_py.log.scene import LinkShape, shape_in
 from hil.faults.faults_document import FaultsDocument, read_faults
 from hil.sil.timing_document import TimingDocument, read_timing
 from models.plant.document import Evaluation
 from models.plant.plant import Plant, read_plant
 from models.predictor.document import PredictorsDocument, read_predictors
+from models.shared.kinematics import rigid_tip_m
 from models.study.document import StudyDocument, read_study
 from models.trials.files import read_trial
 
+Array = NDArray[np.float64]
 T = TypeVar("T")
-
-JSON_FILES: Final[dict[str, tuple[str, set[str]]]] = {
-    "plant": ("plant.json", {"drive", "load", "parameters"}),
-    "evaluation": ("evaluate*.json", {"signals", "trials", "dof"}),
-    "check": ("check_*.json", {"fmi", "checks", "parity"}),
-}
-"""Name that `make demo` uses, and the keys by which any other file is recognised."""
+ALL_PHASES: Final = "2DOF, all phases"
 
 
 class CheckRow(msgspec.Struct, frozen=True):
@@ -77,9 +71,11 @@ class LoopRun:
     name: str  # Name of its directory
     timing: TimingDocument
     # Recorded ticks by column; None if the run has no log
-    ticks: dict[str, NDArray[np.float64]] | None
-    true_tip_m: NDArray[np.float64] | None = None  # (n, 3), true tip in each recorded tick
+    ticks: dict[str, Array] | None
+    true_tip_m: Array | None = None  # (n, 3), true tip in each recorded tick
     phase_2_rad: float = 0.0  # Lead of joint 2
+    period_s: float | None = None  # Period of the motion
+    shape: LinkShape | None = None  # Constants of the link; None if the log lacks them
 
     @property
     def dof(self) -> int | None:
@@ -94,141 +90,124 @@ class LoopRun:
         """Whether durations were measured; on the virtual line computing takes no time."""
         return self.timing.environment.line != "virtual"
 
+    @property
+    def title(self) -> str:
+        """Joints, phase, payload and line: "2DOF, phase 90°, 1 kg, virtual line"."""
+        environment = self.timing.environment
+        words = [f"{self.dof}DOF"] if self.dof else []
+        words += [f"phase {ANGLE.number(self.phase_2_rad, 0)}°"] if self.dof == 2 else []
+        words.append(PAYLOAD.significant(environment.payload_kg))
+        return ", ".join([*words, f"{environment.line} line"])
+
+    def time_s(self) -> Array:
+        """Time of each recorded tick, from the first one."""
+        time_s = self.column("time_s")
+        return np.asarray(time_s - time_s[0])
+
+    def angle_rad(self) -> Array:
+        """Joint angles in each recorded tick, (n, dof)."""
+        return np.column_stack([self.column(f"angle_{j + 1}_rad") for j in range(self.dof or 1)])
+
+    def predicted_tip_m(self) -> Array:
+        """Tip that the robot predicted in each recorded tick, (n, 3)."""
+        return np.column_stack([self.column(name) for name in tip_names("predicted_")])
+
+    def predicted_off_m(self) -> Array:
+        """Distance of the predicted tip from the true one, (n,); NaN without fresh data."""
+        true_m = np.full(3, np.nan) if self.true_tip_m is None else self.true_tip_m
+        distance_m = np.linalg.norm(self.predicted_tip_m() - true_m, axis=1)
+        return np.where(self.column("stale_ticks") > 0, np.nan, distance_m)
+
+    def rigid_off_m(self) -> Array | None:
+        """Distance of a rigid link's tip from the true one, (n,); None if one is unknown."""
+        if self.true_tip_m is None or self.shape is None:
+            return None
+        rigid_m = rigid_tip_m(self.angle_rad(), self.shape.base_offset_m, self.shape.length_m)
+        return np.asarray(np.linalg.norm(rigid_m - self.true_tip_m, axis=1))
+
+    def column(self, name: str) -> Array:
+        if self.ticks is None:
+            raise ValueError(f"run {self.name!r} has no log")
+        return self.ticks[name]
+
 
 @dataclass(frozen=True)
 class BuildInputs:
-    """Contents of a build directory."""
+    """Contents of build directories."""
 
-    studies: dict[int, StudyDocument]  # Studies of the bundles, by dof
-    # Studies by kind of motion: "1DOF", "2DOF, phase 0°", …; "2DOF" if there is none for each phase
-    motions: dict[str, StudyDocument]
-    manifests: dict[int, Manifest]  # Manifests of the bundles, by dof
-    # Comparison of the candidates for the robot's predictor, by dof
-    predictors: dict[int, PredictorsDocument]
+    loops: list[LoopRun]  # Runs in real time first
     plant: Plant | None
     evaluations: dict[str, Evaluation]  # Evaluations of the plant, by name of the trials
     checks: dict[str, FmuCheckOutput]  # Checks by name of the FMU
-    loops: list[LoopRun]  # Runs in real time first
     faults: FaultsDocument | None
-    commands: list[str]  # Commands that wrote the directory
+    # Comparison of the candidates for the robot's predictor, by dof
+    predictors: dict[int, PredictorsDocument]
+    studies: dict[str, StudyDocument]  # Studies by `study_label`, those of bundles first
+    commands: list[str]  # Commands that wrote the directories
     left_out: list[str]  # Files that the report omits, with the reason
 
     @property
-    def every_study(self) -> dict[str, StudyDocument]:
-        """Studies of one kind of motion, then those of several phases."""
-        mixed = {
-            f"{dof}DOF, all phases": study
-            for dof, study in self.studies.items()
-            if len(study.training.phase_2_rad) > 1 and study not in self.motions.values()
-        }
-        return self.motions | mixed
+    def robot_studies(self) -> dict[int, StudyDocument]:
+        """One study for each number of joints: that of the robot's bundle if there is one."""
+        by_dof: dict[int, StudyDocument] = {}
+        for study in self.studies.values():
+            by_dof.setdefault(study.dof, study)
+        return by_dof
 
 
-def read_build(directory: Path) -> BuildInputs:
-    if not directory.is_dir():
-        raise InputError(directory, "is not a directory", "run 'make demo' first")
-    left_out: list[str] = []
-    studies, of_phase = _studies(directory, left_out)
-    bundles = _bundles(directory)
-    files = _json_files(directory)
-    plants = sorted(files["plant"], key=lambda path: path.name != "plant.json")
-    left_out += [f"{path.name}: {plants[0].name} is the plant shown" for path in plants[1:]]
-    plant = read_plant(plants[0]) if plants else None
-    loops = [read_loop(path) for path in _directories_with(directory, "timing.json", "sil")]
-    campaigns = _directories_with(directory, "faults.json", "faults")
+def study_label(study: StudyDocument) -> str:
+    """Motion of a study: "1DOF", "2DOF, phase 90°" or "2DOF, all phases"."""
+    phases_rad = study.training.phase_2_rad
+    if study.dof == 1:
+        return "1DOF"
+    return f"2DOF, phase {np.degrees(phases_rad[0]):.0f}°" if len(phases_rad) == 1 else ALL_PHASES
+
+
+def read_build(*directories: Path) -> BuildInputs:
+    for directory in directories:
+        if not directory.is_dir():
+            raise InputError(directory, "is not a directory", "run 'make demo' first")
+    plant_files = _files(directories, "plant.json")
+    plant = read_plant(plant_files[0]) if plant_files else None
+    loops = [read_loop(path.parent) for path in _files(directories, "*/timing.json")]
+    campaigns = _files(directories, "*/faults.json")
+    candidates = [read_predictors(path) for path in _files(directories, "*/predictors.json")]
+    studies, left_out = _studies(directories)
     return BuildInputs(
-        studies=studies,
-        motions=_motions(studies, of_phase),
-        manifests={dof: manifest for dof, (_, manifest) in bundles.items()},
-        predictors={
-            dof: read_predictors(path / "predictors.json")
-            for dof, (path, _) in bundles.items()
-            if (path / "predictors.json").is_file()
-        },
+        loops=sorted(loops, key=lambda loop: not loop.in_real_time),
         plant=plant,
-        evaluations=_evaluations(files["evaluation"], plant),
+        evaluations=_evaluations(_files(directories, "evaluate*.json"), plant),
         checks={
             path.stem.removeprefix("check_"): read_output(path, FmuCheckOutput)
-            for path in files["check"]
+            for path in _files(directories, "check_*.json")
         },
-        loops=sorted(loops, key=lambda loop: not loop.in_real_time),
-        faults=read_faults(campaigns[0] / "faults.json") if campaigns else None,
-        commands=read_commands(directory / "commands.log"),
+        faults=read_faults(campaigns[0]) if campaigns else None,
+        predictors={document.dof: document for document in candidates},
+        studies=studies,
+        commands=read_commands(*_files(directories, "commands.log")),
         left_out=left_out,
     )
 
 
-def _directories_with(directory: Path, name: str, usual: str) -> list[Path]:
-    """Return the directory and its subdirectories that contain a file, usual names first."""
-    paths = [p for p in (directory, *directory.iterdir()) if (p / name).is_file()]
-    return sorted(paths, key=lambda p: (not p.name.startswith(usual), p.name))
+def _files(directories: Sequence[Path], pattern: str) -> list[Path]:
+    """Files by their pattern, which may name a subdirectory: then the directory itself counts."""
+    patterns = {pattern, pattern.removeprefix("*/")}
+    every = {path for d in directories for one in patterns for path in d.glob(one)}
+    return sorted(path for path in every if path.is_file())
 
 
-def _json_files(directory: Path) -> dict[str, list[Path]]:
-    """JSON files of the directory by their kind."""
-    files: dict[str, list[Path]] = {kind: [] for kind in JSON_FILES}
-    for path in sorted(directory.glob("*.json")):
-        named = [kind for kind, (name, _) in JSON_FILES.items() if path.match(name)]
-        for kind in named or _kinds_by_keys(path):
-            files[kind].append(path)
-    return files
-
-
-def _kinds_by_keys(path: Path) -> list[str]:
-    try:
-        content: Any = read_json(path, "")
-    except InputError:
-        return []
-    keys = content.keys() if isinstance(content, dict) else set()
-    return [kind for kind, (_, needed) in JSON_FILES.items() if needed <= keys]
-
-
-def _is_bundle(directory: Path) -> bool:
-    """Whether a directory is a robot's bundle, and not only the output of a study."""
-    if directory.name.startswith(("bundle_", "study_")):
-        return directory.name.startswith("bundle_")
-    return any((directory / name).is_file() for name in ("observer.fmu", "predictors.json"))
-
-
-def _bundles(directory: Path) -> dict[int, tuple[Path, Manifest]]:
-    """Bundles by number of joints, those with the usual name first."""
-    bundles: dict[int, tuple[Path, Manifest]] = {}
-    paths = _directories_with(directory, "manifest.json", "bundle_")
-    for path in sorted(paths, key=lambda p: not _is_bundle(p)):
-        if not path.name.startswith("study_"):
-            manifest = read_manifest(path)
-            bundles.setdefault(manifest.dof, (path, manifest))
-    return bundles
-
-
-def _studies(
-    directory: Path, left_out: list[str]
-) -> tuple[dict[int, StudyDocument], dict[int, StudyDocument]]:
-    """Studies of the bundles by number of joints, and those of one phase of joint 2 by degrees."""
-    studies: dict[int, StudyDocument] = {}
-    of_phase: dict[int, StudyDocument] = {}
-    for path in _directories_with(directory, "study.json", "bundle_"):
-        study = read_study(path / "study.json")
-        phases, of_bundle = study.training.phase_2_rad, _is_bundle(path)
-        phase_deg = round(float(np.degrees(phases[0]))) if len(phases) == 1 else None
-        if study.dof not in studies and (of_bundle or study.dof == 1 or phase_deg is None):
-            studies[study.dof] = study
-        elif study.dof == 1 or of_bundle or phase_deg is None:
-            left_out.append(f"{path.name}: another study of {study.dof}DOF is shown")
-        elif phase_deg in of_phase:
-            left_out.append(f"{path.name}: another study has phase {phase_deg}°")
-        else:
-            of_phase[phase_deg] = study
-    return studies, of_phase
-
-
-def _motions(
-    studies: dict[int, StudyDocument], of_phase: dict[int, StudyDocument]
-) -> dict[str, StudyDocument]:
-    two = {f"2DOF, phase {phase}°": of_phase[phase] for phase in sorted(of_phase)}
-    if not two and 2 in studies:
-        two = {"2DOF": studies[2]}
-    return ({"1DOF": studies[1]} if 1 in studies else {}) | two
+def _studies(directories: Sequence[Path]) -> tuple[dict[str, StudyDocument], list[str]]:
+    """Studies by their label, those of bundles first, and the ones that compete with them."""
+    studies: dict[str, StudyDocument] = {}
+    left_out = []
+    paths = _files(directories, "*/study.json")
+    for path in sorted(paths, key=lambda p: not p.parent.name.startswith("bundle")):
+        study = read_study(path)
+        label = study_label(study)
+        if label in studies:
+            left_out.append(f"{path.parent.name}: another study of {label} is shown")
+        studies.setdefault(label, study)
+    return studies, left_out
 
 
 def _evaluations(paths: list[Path], plant: Plant | None) -> dict[str, Evaluation]:
@@ -258,20 +237,23 @@ def read_loop(directory: Path) -> LoopRun:
     log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
     if not log.is_file():
         return LoopRun(directory.name, timing, None)
-    ticks = read_recording(log).columns
+    recording = read_recording(log)
+    ticks = recording.columns
     if not trial.is_file():
         return LoopRun(directory.name, timing, ticks)
     slot = (ticks["tick"] - ticks["tick"][0]).astype(int)  # the trial has a row for every slot
     run = read_trial(trial)
     known = slot < len(run)
     ticks = {name: column[known] for name, column in ticks.items()}
-    return LoopRun(directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad)
+    return LoopRun(
+        directory.name, timing, ticks, run.tip_m[slot[known]], run.meta.phase_2_rad,
+        run.meta.period_s, shape_in(recording.metadata),
+    )  # fmt: skip
 
 
-def read_commands(path: Path) -> list[str]:
+def read_commands(*paths: Path) -> list[str]:
     """Read the logged commands without duplicates, in the order of their last use."""
-    if not path.is_file():
-        return []
-    lines = [line.strip() for line in read_text(path, "make it again").splitlines()]
+    logs = [read_text(path, "make it again") for path in paths if path.is_file()]
+    lines = [line.strip() for log in logs for line in log.splitlines()]
     last = {line: k for k, line in enumerate(lines) if line}
     return sorted(last, key=last.__getitem__)

@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.signals import tip_names
 from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
 from hil.report.build_inputs import LoopRun
-from hil.report.gap_results import PART, BeforeAfter, GapInputs, judged_part, same_in_python
-from models.gap.report.gap_charts import BEFORE_AND_AFTER, draw_errors
+from hil.report.gap_results import BeforeAfter, GapInputs, judged_part, same_in_python
 from models.gap.report.gap_page import gap_lead, gap_sections
-from models.plant.identification.evaluation import TIP
-from models.plant.identification.fit import measured_signals
-from models.shared.drawing import Drawing
 from models.shared.pages import (
     NO_VALUE,
     CommandList,
-    Figure,
-    LegendEntry,
-    Panel,
     Paragraph,
     Section,
     Table,
     render_page,
 )
-from models.shared.palette import MUTED
 from models.trials.origin import origin_notice, origins_of
 
 Array = NDArray[np.float64]
@@ -37,13 +27,11 @@ HEADINGS: Final = {
     "before": "before", "retrained": "new data, old plant", "after": "after",
     "without": "without the effect", "rigid": "rigid kinematics",
 }  # fmt: skip
-FMU_SIGNALS: Final = ("tip_x_m", "tip_z_m", "di", "current_1_a")
-CURVE_LEGEND: Final = (*BEFORE_AND_AFTER, LegendEntry(MUTED, "RMS without the effect"))
 
 
 def before_after_page(inputs: GapInputs, data: BeforeAfter) -> str:
     """Return the page as HTML."""
-    *diagnosis, not_named = gap_sections(inputs.diagnosis, inputs.trials)
+    *diagnosis, not_named = gap_sections(inputs.diagnosis)
     sections = [
         Section("glance", "Results", [_results(data)]),
         *diagnosis,
@@ -51,7 +39,7 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter) -> str:
         _robot(inputs),
         *_plans(data),
         not_named,
-        Section("made", "Commands", [CommandList(inputs.commands, folded=True)]),
+        Section("made", "Commands", [CommandList(inputs.commands)]),
     ]
     lead = [
         origin_notice(origins_of([*inputs.trials, *inputs.sealed])),
@@ -114,25 +102,7 @@ def _fmu(inputs: GapInputs, data: BeforeAfter) -> Section:
         "the effect: the error of the old plant there is about the smallest possible. The rebuilt "
         f"FMU {'passed' if data.fmu.passed else 'failed'} fmu check.",
     )  # fmt: skip
-    note = f"Measured minus simulated at {PAYLOAD.significant(heaviest_kg)}."
-    curves = Figure("", note, _fmu_curves(inputs, heaviest_kg), legend=CURVE_LEGEND)
-    return Section("fmu", "Rebuilt FMU in FMPy", [table, curves])
-
-
-def _fmu_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
-    trial = next(t for t in inputs.sealed if t.meta.payload_kg == payload_kg)
-    measured = measured_signals(trial)
-    simulated = [inputs.outputs[variant][payload_kg] for variant in ("before", "after")]
-    units = inputs.fmus["before"][payload_kg].units
-    least = inputs.fmus.get("without", {}).get(payload_kg)
-    return [
-        _error_panel(
-            signal_words(signal), trial.time_s,
-            [measured[signal] - run[signal] for run in simulated],
-            units[signal], least.rms[signal] if least else None,
-        )
-        for signal in FMU_SIGNALS if signal in measured and signal in units
-    ]  # fmt: skip
+    return Section("fmu", "Rebuilt FMU in FMPy", [table])
 
 
 def _robot(inputs: GapInputs) -> Section:
@@ -153,52 +123,7 @@ def _robot(inputs: GapInputs) -> Section:
         "on the same new trials as the one after, with the observer of the old plant: the effect "
         "of new measurements alone.",
     )  # fmt: skip
-    note = f"Predicted minus true at {PAYLOAD.significant(payloads[-1])}."
-    curves = Figure("", note, _robot_curves(inputs, payloads[-1]), legend=CURVE_LEGEND)
-    return Section("robot", "Prediction of the robot", [table, curves])
-
-
-def _robot_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
-    """Predicted minus true tip in the plane of the joints, over the first motion of a run."""
-    runs = {v: _first_motion(of[payload_kg]) for v, of in inputs.loops.items() if payload_kg in of}
-    before, after, least = (runs.get(v) for v in ("before", "after", "without"))
-    if before is None or after is None:
-        return []
-    rows = min(len(before[0]), len(after[0]))
-    panels = []
-    for axis in (a for a in TIP if a != "tip_y_m" or inputs.trials[0].meta.dof == 2):
-        k = TIP.index(axis)
-        floor = None if least is None else float(np.sqrt(np.nanmean(least[1][:, k] ** 2)))
-        errors = [error_m[:rows, k] for _, error_m in (before, after)]
-        words = f"predicted {signal_words(axis)}"
-        panels.append(_error_panel(words, before[0][:rows], errors, "m", floor))
-    return panels
-
-
-def _first_motion(loop: LoopRun) -> tuple[Array, Array] | None:
-    """Time, and predicted minus true tip (n, 3), in the first motion; None without a record."""
-    programme_s = loop.timing.run.programme_s
-    if loop.ticks is None or loop.true_tip_m is None or not programme_s:
-        return None
-    time_s = loop.ticks["time_s"] - loop.ticks["time_s"][0] - programme_s["rest"]
-    rows = (time_s >= 0.0) & (time_s < programme_s[PART])
-    predicted_m = np.column_stack([loop.ticks[name] for name in tip_names("predicted_")])
-    return time_s[rows], (predicted_m - loop.true_tip_m)[rows]
-
-
-def _error_panel(
-    signal: str, time_s: Array, errors: Sequence[Array], unit: str, floor: float | None
-) -> Panel:
-    """Error of a signal over time, before and after; shapes (n,)."""
-    shown = error_unit(unit)
-    with Drawing(2.1) as (drawing, ax):
-        draw_errors(ax, time_s, errors, shown, floor)
-    before, after = (shown.significant(np.sqrt(np.nanmean(values**2))) for values in errors)
-    return drawing.panel(
-        f"{signal}: {before} → {after} RMS",
-        f"Error of {signal} over {time_s[-1] - time_s[0]:.1f} s: {before} RMS before, {after} RMS "
-        "after.",
-    )
+    return Section("robot", "Prediction of the robot", [table])
 
 
 def _plans(data: BeforeAfter) -> list[Section]:

@@ -1,116 +1,147 @@
-"""Section about a run of the loop: verdict, duration of the ticks, prediction error of the tip."""
+"""Sections about runs of the loop: the arm, the errors of the tip, and the timing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.signals import tip_names
-from firmware_py.core.units import ANGLE, FRACTION, LENGTH, PAYLOAD, POSITION, TICK_TIME, TIME
+from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, TICK_TIME, TIME
 from firmware_py.system.timing import LABELS
+from hil.report.arm import LEGEND, arm_motion, arm_panel
 from hil.report.build_inputs import LoopRun
+from hil.sil.timing_verdict import PREEMPTED_NS
+from hil.verdict import Verdict
 from models.predictor.validation import COVERS, coverage_text
-from models.shared.drawing import Drawing, Line, plot_lines
-from models.shared.pages import Facts, Figure, LegendEntry, Panel, Paragraph, Part, Table
-from models.shared.palette import ALARM, BLUE, INK, ORANGE, SPAN
+from models.shared.drawing import Drawing, Line, log_axis, plot_lines
+from models.shared.pages import (
+    NO_VALUE,
+    Cell,
+    Facts,
+    Figure,
+    Folded,
+    LegendEntry,
+    Panel,
+    Paragraph,
+    Part,
+    Table,
+    TableCell,
+)
+from models.shared.palette import ALARM, BLUE, MUTED, ORANGE, SPAN
 
 Array = NDArray[np.float64]
-Ticks = dict[str, Array]
 
 INTERVALS: Final = 240
 """Intervals of a timeline, of which each shows maximum and median."""
-SHOWN_S: Final = 10.0
+LEAST_MM: Final = 0.01
+"""Least distance that is shown: at rest the twin is predicted exactly."""
 WHOLE: Final = BLUE
 OWN: Final = ORANGE
-_PARTS: Final = {
+PARTS: Final = {
     "all": "all ticks", "in_range": "in range", "out_of_range": "out of range",
     "rest": "rest between motions", "motion": "motion, as in training",
     "glide": "glide to zero after the motion", "stop": "controlled stop",
 }  # fmt: skip
 
 
-def loop_title(loop: LoopRun) -> str:
-    line = f"{loop.timing.environment.line} line"
-    if loop.dof is None:
-        return f"Control loop on the {line}"
-    phase = f", phase {ANGLE.number(loop.phase_2_rad, 0)}°" if loop.dof == 2 else ""
-    return f"Control loop: {loop.dof}DOF{phase}, {line}"
+# --- the arm ------------------------------------------------------------------------------------
 
 
-def loop_parts(loop: LoopRun) -> list[Part]:
-    parts: list[Part] = [Paragraph(verdict_sentence(loop)), *loop_figures(loop)]
-    if predicted := prediction_table(loop):
-        parts.append(predicted)
-    if loop.in_real_time:
-        parts.append(_duration_table(loop))
-    return [*parts, Facts(_environment(loop))]
-
-
-def verdict_sentence(loop: LoopRun) -> str:
-    timing = loop.timing
-    if not loop.in_real_time:
-        return (
-            "On the virtual line the clock is simulated: computation takes no time and a run can "
-            "be repeated bit by bit. Durations contain bus time only."
-        )
-    causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items() if count)
-    lost = (
-        f" {timing.misses} of {timing.slots} slots were missed ({causes}; longest run of "
-        f"misses {timing.longest_run_of_misses})."
-        if causes
-        else ""
-    )
-    bound = FRACTION.text(timing.own_miss_rate_upper_bound_95, 2)
-    return (
-        f"Verdict: {timing.verdict}; {timing.reason}.{lost} With 95\u00a0% confidence the "
-        f"loop itself misses less than {bound} of the deadlines."
-    )
-
-
-def loop_figures(loop: LoopRun) -> list[Figure]:
-    """Draw the timing of a run in real time and the prediction error; neither without ticks."""
-    if loop.ticks is None:
+def arm_parts(loops: Sequence[LoopRun]) -> list[Part]:
+    """The arm of one run for each number of joints: that which moves in most directions."""
+    shown: dict[int | None, tuple[LoopRun, Panel]] = {}
+    for loop in sorted(loops, key=lambda loop: -loop.phase_2_rad):
+        if loop.dof not in shown and (motion := arm_motion(loop)):
+            shown[loop.dof] = loop, arm_panel(motion, loop)
+    panels = [panel for _, (_, panel) in sorted(shown.items(), key=lambda row: -(row[0] or 0))]
+    if not panels:
         return []
-    figures = [_timing(loop, loop.ticks)] if loop.in_real_time else []
-    if loop.true_tip_m is not None:
-        programme_s = loop.timing.run.programme_s
-        figures.append(_prediction(loop.ticks, loop.true_tip_m, programme_s))
-    return figures
-
-
-def _timing(loop: LoopRun, ticks: Ticks) -> Figure:
-    time_s, period_ms = ticks["time_s"], float(TICK_TIME.shown(loop.timing.targets.period_ns))
-    whole_ms = TICK_TIME.shown(ticks["lateness_ns"] + ticks["busy_ns"])
-    own_ms = TICK_TIME.shown(ticks["busy_ns"] - ticks["bus_wait_ns"])
-    missed = whole_ms > period_ms
-    with Drawing() as (drawing, ax):
-        plot_lines(ax, _envelope(time_s, whole_ms, WHOLE) + _envelope(time_s, own_ms, OWN))
-        ax.plot(time_s[missed], np.full(missed.sum(), period_ms), "v", color=ALARM, markersize=4)
-        ax.axhline(period_ms, color=ALARM, linestyle="--", linewidth=1)
-        ax.set(
-            xlabel=TIME.label("time"), ylabel=TICK_TIME.label("duration"),
-            ylim=(0, 1.12 * period_ms), yticks=[0, 5, 10, period_ms],
-        )  # fmt: skip
-    alt = (
-        f"Duration of {len(time_s)} ticks over {time_s[-1] - time_s[0]:.0f} s: the whole tick is "
-        f"{np.median(whole_ms):.2f} ms in the median and {whole_ms.max():.2f} ms at most, the own "
-        f"cost {own_ms.max():.2f} ms at most; {int(missed.sum())} ticks cross the line at "
-        f"{period_ms:g} ms."
+    note = (
+        "One cycle of each run, three times; click to play it again. The run records angles and "
+        "tip; between them the link is drawn with the bend of the plant under a force at its tip."
     )
+    return [Figure("", note, panels, legend=LEGEND)]
+
+
+# --- errors of the tip --------------------------------------------------------------------------
+
+
+def error_parts(loops: Sequence[LoopRun]) -> list[Part]:
+    known = [loop for loop in loops if loop.timing.prediction_error.n]
+    if not known:
+        return []
+    parts: list[Part] = [_error_table(known)]
+    if drawn := [loop for loop in known if loop.true_tip_m is not None]:
+        parts.append(distance_figure(drawn))
+    note = (
+        "During glide and rest the link still swings while the joints hardly move: angle, current "
+        "and DI, which has no sign, do not show to which side it bends. The observer's bend does. "
+        "Where the coverage is below 95\u00a0% the interval is too narrow."
+    )
+    tables = [prediction_table(loop) for loop in known]
+    return [*parts, Folded("Errors by part of the run", [*tables, Paragraph(note, "note")])]
+
+
+def _error_table(loops: Sequence[LoopRun]) -> Table:
+    rows: list[list[Cell]] = []
+    for loop in loops:
+        error, rigid_off_m = loop.timing.prediction_error, loop.rigid_off_m()
+        rigid = NO_VALUE if rigid_off_m is None else LENGTH.number(np.nanmean(rigid_off_m))
+        measured_m = (error.mean_euclidean_distance_m, error.p95_m, error.max_m)
+        rows.append([loop.title, *(LENGTH.number(value or 0.0) for value in measured_m), rigid])
+    note = "Rigid link: its tip if it did not bend, at the measured angles."
+    if any(loop.timing.environment.behind_the_servos == "twin" for loop in loops):
+        note += (
+            " Behind the servos is the twin, whose equations the robot's observer shares: on a "
+            "robot the error is larger."
+        )
+    return Table(
+        f"Distance between predicted and true tip in {LENGTH.name}",
+        ["run", "mean", "95th percentile", "maximum", "rigid link, mean"], rows, note,
+    )  # fmt: skip
+
+
+def distance_figure(loops: Sequence[LoopRun]) -> Figure:
+    """Distance of the predicted and of a rigid link's tip from the true one, over each run."""
+    distances_mm = [LENGTH.shown(loop.predicted_off_m()) for loop in loops]
+    every = np.concatenate([d[np.isfinite(d)] for d in distances_mm])
+    shown = [max(LEAST_MM, float(every.min())), max(100.0, float(every.max()))]
+    panels = [
+        _distance(loop, distance_mm, shown)
+        for loop, distance_mm in zip(loops, distances_mm, strict=True)
+    ]
     return Figure(
-        "Duration of the ticks",
-        "Whole tick: from the deadline to the end of the tick. Own cost: without the wake-up "
-        "latency and without waiting for the bus. Maximum and median of each interval are shown.",
-        [drawing.panel("Timeline", alt)],
+        "Distance from the true tip",
+        "Median of each interval, and thin its maximum; ticks with fresh data.", panels,
         legend=[
-            LegendEntry(WHOLE, "whole tick"),
-            LegendEntry(OWN, "own cost"),
-            LegendEntry(ALARM, f"period, {period_ms:g} ms", "dashed"),
+            LegendEntry(WHOLE, "prediction"), LegendEntry(MUTED, "rigid link"),
+            LegendEntry(ALARM, "inputs outside the training range", "dotted"),
+            LegendEntry(SPAN, "glide and rest: not in training"),
         ],
+    )  # fmt: skip
+
+
+def _distance(loop: LoopRun, distance_mm: Array, shown_mm: Sequence[float]) -> Panel:
+    time_s, rigid_off_m = loop.time_s(), loop.rigid_off_m()
+    outside = loop.column("in_range") <= 0
+    with Drawing() as (drawing, ax):
+        for start_s, end_s in _between_motions(loop.timing.run.programme_s, float(time_s[-1])):
+            ax.axvspan(start_s, end_s, color=SPAN, linewidth=0)
+        if rigid_off_m is not None:
+            plot_lines(ax, _envelope(time_s, LENGTH.shown(rigid_off_m), MUTED)[1:])
+        plot_lines(ax, _envelope(time_s, distance_mm, WHOLE))
+        ax.plot(time_s[outside], distance_mm[outside], ".", color=ALARM, markersize=3)
+        log_axis(ax, shown_mm)
+        ax.set(
+            xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), xlim=(0, time_s[-1]),
+        )  # fmt: skip
+    return drawing.panel(
+        loop.title,
+        f"It is {np.nanmean(distance_mm):.1f} mm on average and {np.nanmax(distance_mm):.1f} mm "
+        f"at most; {int(outside.sum())} of {len(time_s)} ticks lie outside the training range.",
     )
 
 
@@ -118,62 +149,13 @@ def _envelope(time_s: Array, values: Array, colour: str) -> list[Line]:
     """Maximum and median of each interval, as a thin and a thick line."""
     groups = np.array_split(np.arange(len(time_s)), min(INTERVALS, len(time_s)))
     middle_s = [float(np.median(time_s[g])) for g in groups]
-    largest = [float(np.nanmax(values[g])) for g in groups]
-    median = [float(np.nanmedian(values[g])) for g in groups]
+    largest = [_without_gaps(np.nanmax, values[g]) for g in groups]
+    median = [_without_gaps(np.nanmedian, values[g]) for g in groups]
     return [Line(middle_s, largest, colour, width=0.6), Line(middle_s, median, colour)]
 
 
-def _prediction(ticks: Ticks, true_m: Array, programme_s: Mapping[str, float]) -> Figure:
-    """Draw predicted and true tip over the first seconds, and their distance over the whole run."""
-    time_s = ticks["time_s"]
-    predicted_m = np.column_stack([ticks[name] for name in tip_names("predicted_")])
-    first = time_s <= time_s[0] + SHOWN_S
-    with Drawing() as (drawing, ax):
-        low, high = (predicted_m[first, 0] + s * ticks["half_width_x_m"][first] for s in (-1, 1))
-        ax.fill_between(time_s[first], low, high, color=WHOLE, alpha=0.18, linewidth=0)
-        true, predicted = (
-            Line(time_s[first], tip_m[first, 0], colour, dash)
-            for tip_m, colour, dash in ((true_m, INK, "solid"), (predicted_m, WHOLE, "dashed"))
-        )
-        plot_lines(ax, [true, predicted])
-        ax.set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip x"))
-    tip = drawing.panel(
-        f"Tip x, first {SHOWN_S:g} s",
-        "Predicted x of the end effector with its 95 % interval, and the true x; "
-        f"the true x spans {np.nanmin(true_m[:, 0]):.2f} to {np.nanmax(true_m[:, 0]):.2f} m.",
-    )
-    distance_mm = LENGTH.shown(np.linalg.norm(predicted_m - true_m, axis=1))
-    return Figure(
-        "Tip predicted by the robot",
-        "From angle, current and estimated DI alone; the true tip is that of the simulated plant "
-        "behind the servos. The distance shows maximum and median of each interval.",
-        [tip, _distance(time_s, distance_mm, ticks["in_range"] > 0, programme_s)],
-        legend=[
-            LegendEntry(INK, "true tip"),
-            LegendEntry(WHOLE, "prediction and its distance", "dashed"),
-            LegendEntry(ALARM, "inputs outside the training range", "dotted"),
-            LegendEntry(SPAN, "glide and rest: not in training"),
-        ],
-    )
-
-
-def _distance(
-    time_s: Array, distance_mm: Array, in_range: NDArray[np.bool_], programme_s: Mapping[str, float]
-) -> Panel:
-    with Drawing() as (drawing, ax):
-        for start_s, end_s in _between_motions(programme_s, float(time_s[-1])):
-            ax.axvspan(start_s, end_s, color=SPAN, linewidth=0)
-        plot_lines(ax, _envelope(time_s, distance_mm, WHOLE))
-        ax.plot(time_s[~in_range], distance_mm[~in_range], ".", color=ALARM, markersize=3)
-        ax.set(
-            xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), ylim=(0, None),
-            xlim=(time_s[0], time_s[-1]),
-        )  # fmt: skip
-    return drawing.panel(
-        "Distance between predicted and true tip",
-        f"It is {np.nanmean(distance_mm):.1f} mm on average and {np.nanmax(distance_mm):.1f} mm "
-        f"at most; {int((~in_range).sum())} of {len(time_s)} ticks lie outside the training range.",
-    )
+def _without_gaps(statistic: Callable[[Array], float], values: Array) -> float:
+    return float(statistic(values)) if np.isfinite(values).any() else np.nan
 
 
 def _between_motions(programme_s: Mapping[str, float], end_s: float) -> list[tuple[float, float]]:
@@ -190,31 +172,142 @@ def _between_motions(programme_s: Mapping[str, float], end_s: float) -> list[tup
     ]
 
 
-def prediction_table(loop: LoopRun) -> Table | None:
-    """Return the prediction error by part of the run; None if the true tip is unknown."""
+def prediction_table(loop: LoopRun) -> Table:
+    """Prediction error by part of the run."""
     error = loop.timing.prediction_error
-    rows = []
+    rows: list[list[Cell]] = []
     for name, part in {"all": error, **error.parts}.items():
         measured_m = (part.mean_euclidean_distance_m, part.p95_m, part.max_m)
         if distances_m := [value for value in measured_m if value is not None]:
-            rows.append(
-                [
-                    _PARTS.get(name, name), str(part.n), *map(LENGTH.number, distances_m),
-                    coverage_text(part.interval_coverage or 0.0,
-                                  part.interval_coverage_least or 0.0),
-                    FRACTION.text(part.in_range_fraction or 0.0, 1),
-                ]
-            )  # fmt: skip
-    if not rows:
-        return None
+            covered = coverage_text(part.interval_coverage or 0, part.interval_coverage_least or 0)
+            in_range = FRACTION.text(part.in_range_fraction or 0.0, 1)
+            distances = map(LENGTH.number, distances_m)
+            rows.append([PARTS.get(name, name), str(part.n), *distances, covered, in_range])
     return Table(
-        f"Distance between predicted and true tip in {LENGTH.name}",
+        f"{loop.title}, in {LENGTH.name}",
         ["", "ticks", "mean", "95th percentile", "maximum", COVERS, "in range"],
         rows,
-        "During glide and rest the link still swings while the joints hardly move. The paper's "
-        "polynomial cannot tell to which side: angle, current and DI, which has no sign, do not "
-        "show it. The observer's bend does. Where the coverage is below 95\u00a0% the interval is "
-        "too narrow.",
+    )
+
+
+# --- timing -------------------------------------------------------------------------------------
+
+
+def timing_parts(loops: Sequence[LoopRun]) -> list[Part]:
+    """Verdicts, the ends of the ticks with their deadline, and what the host did."""
+    timed = [loop for loop in loops if loop.in_real_time]
+    if not timed:
+        only = "On the virtual line the clock is simulated, so no duration was measured."
+        return [Paragraph(only)] if loops else []
+    return [
+        _timing_table(timed),
+        *(Paragraph(f"{loop.title}: {verdict_sentence(loop)}") for loop in timed),
+        *(timing_figure(loop) for loop in timed if loop.ticks is not None),
+        Paragraph(
+            "The end of a tick counts from the start of its slot. Own cost: without the wake-up "
+            "latency and without waiting for the bus. Run queue and steal: time in which the "
+            "kernel ran other processes, or the hypervisor other machines. Of that, the table "
+            "counts as preemption what the measurement itself did not take.",
+            "note",
+        ),
+        Folded("Durations of the stages", [_duration_table(loop) for loop in timed]),
+        Folded("Machines and lines", [Facts(_environment(loop)) for loop in timed]),
+    ]
+
+
+def _timing_table(loops: Sequence[LoopRun]) -> Table:
+    met = {Verdict.PASS: True, Verdict.FAIL: False}
+    every = [loop.timing for loop in loops]
+    own = [TICK_TIME.text(timing.own_cost.p99_ns, 2) for timing in every]
+    wake = [TICK_TIME.text(timing.lateness.p99_ns, 2) for timing in every]
+    bound = [FRACTION.text(timing.own_miss_rate_upper_bound_95, 2) for timing in every]
+    host = [
+        f"{timing.host.preempted_ticks} ticks, {TICK_TIME.text(timing.host.max_ns, 1)} at most"
+        for timing in every
+    ]
+    rows: list[list[Cell]] = [
+        ["verdict", *(TableCell(str(t.verdict), met.get(t.verdict)) for t in every)],
+        ["deadlines missed", *(f"{t.misses} of {t.slots}" for t in every)],
+        ["missed by the loop itself", *(str(t.own_misses) for t in every)],
+        ["the same at most, with 95\u00a0% confidence", *bound],
+        ["own cost of a tick, p99", *own],
+        ["wake-up latency, p99", *wake],
+        ["preempted by the host", *host],
+    ]
+    return Table("", ["", *(loop.title for loop in loops)], rows)
+
+
+def verdict_sentence(loop: LoopRun) -> str:
+    timing = loop.timing
+    causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items() if count)
+    lost = (
+        f" {timing.misses} of {timing.slots} slots were missed ({causes}; longest run of "
+        f"misses {timing.longest_run_of_misses})."
+        if causes
+        else ""
+    )
+    return f"{timing.verdict}; {timing.reason}.{lost}"
+
+
+def timing_figure(loop: LoopRun) -> Figure:
+    """Histogram of the ticks with their deadline, and the run over time with the host's part."""
+    deadline_ms = float(TICK_TIME.shown(loop.timing.targets.period_ns))
+    busy_ns = loop.column("busy_ns")
+    end_ms = TICK_TIME.shown(loop.column("lateness_ns") + busy_ns)
+    own_ms = TICK_TIME.shown(busy_ns - loop.column("bus_wait_ns"))
+    host_ms = TICK_TIME.shown(loop.column("preempted_ns") + loop.column("steal_ns"))
+    panels = [
+        _histogram(end_ms, own_ms, deadline_ms),
+        _timeline(loop.time_s(), end_ms, host_ms, deadline_ms),
+    ]
+    return Figure(
+        loop.title,
+        "",
+        panels,
+        legend=[
+            LegendEntry(WHOLE, "end of a tick in its slot"),
+            LegendEntry(OWN, "own cost of a tick"),
+            LegendEntry(MUTED, "run queue and steal, 0.5 ms or more"),
+            LegendEntry(ALARM, f"deadline, {deadline_ms:g} ms", "dashed"),
+        ],
+    )
+
+
+def _histogram(end_ms: Array, own_ms: Array, deadline_ms: float) -> Panel:
+    least_ms = max(float(np.min(own_ms)), 1e-3)
+    most_ms = 1.2 * max(deadline_ms, float(np.max(end_ms)))
+    edges = np.geomspace(least_ms, most_ms, 60).tolist()
+    with Drawing() as (drawing, ax):
+        ax.hist(own_ms, edges, color=OWN, alpha=0.7)
+        ax.hist(end_ms, edges, color=WHOLE, alpha=0.7)
+        ax.axvline(deadline_ms, color=ALARM, linestyle="--", linewidth=1)
+        log_axis(ax, [least_ms, most_ms], "x")
+        log_axis(ax, [1.0, len(end_ms)])
+        ax.set(xlabel=TICK_TIME.label("time"), ylabel="ticks")
+    return drawing.panel(
+        "Latency histogram",
+        f"Ends of {len(end_ms)} ticks: {np.median(end_ms):.2f} ms in the median and "
+        f"{end_ms.max():.2f} ms at most; own cost {own_ms.max():.2f} ms at most; the deadline is "
+        f"at {deadline_ms:g} ms.",
+    )
+
+
+def _timeline(time_s: Array, end_ms: Array, host_ms: Array, deadline_ms: float) -> Panel:
+    preempted = host_ms >= TICK_TIME.shown(PREEMPTED_NS)
+    missed = end_ms > deadline_ms
+    with Drawing() as (drawing, ax):
+        ax.vlines(time_s[preempted], 0.0, host_ms[preempted], color=MUTED, linewidth=2)
+        plot_lines(ax, _envelope(time_s, end_ms, WHOLE))
+        ax.plot(time_s[missed], np.full(missed.sum(), deadline_ms), "v", color=ALARM, markersize=4)
+        ax.axhline(deadline_ms, color=ALARM, linestyle="--", linewidth=1)
+        ax.set(
+            xlabel=TIME.label("time"), ylabel=TICK_TIME.label("end of a tick"),
+            xlim=(0, time_s[-1]), ylim=(0, 1.12 * deadline_ms), yticks=[0, 5, 10, deadline_ms],
+        )  # fmt: skip
+    return drawing.panel(
+        "Over the run: median of each interval, and thin its maximum",
+        f"Ends of the ticks over {time_s[-1]:.0f} s; the host took up to {host_ms.max():.1f} ms "
+        f"of one, and {int(missed.sum())} ticks cross the line at {deadline_ms:g} ms.",
     )
 
 
@@ -228,6 +321,7 @@ def _duration_table(loop: LoopRun) -> Table:
         "whole tick": timing.tick,
         "waiting for the bus": timing.bus_wait,
         "own cost": timing.own_cost,
+        "preempted by the host": timing.host,
         "wake-up latency": timing.lateness,
         "wake-up latency of the reference": timing.reference_jitter,
     }
@@ -238,7 +332,7 @@ def _duration_table(loop: LoopRun) -> Table:
         for name, stage in parts.stages.items()
     }
     return Table(
-        f"Durations in {TICK_TIME.name}",
+        f"{loop.title}, in {TICK_TIME.name}",
         ["", "n", *LABELS, "budget of p99"],
         [
             [

@@ -17,12 +17,12 @@ from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.safety.estimate_trust import FADE_S, TrustState
 from firmware_py.system.targets import PATH_RMS_TO_RIGID
+from hil.report.bode import bode_panels
 from hil.report.build_inputs import read_loop
 from hil.report.build_page import EMULATED
 from models.plan.feedback import (
     LEAST_GAIN_DB,
     LEAST_PHASE_RAD,
-    Response,
     frequencies,
     open_loops,
     tip_responses,
@@ -44,11 +44,9 @@ from models.shared.pages import (
     render_page,
 )
 from models.shared.palette import (
-    ALARM,
     BLUE,
     GREEN,
     INK,
-    MUTED,
     ORANGE,
     PURPLE,
     SERIES,
@@ -71,8 +69,6 @@ WORDS: Final[dict[Knowledge, str]] = {
 }
 RATIOS: Final = {"known": "known", "unknown": "estimated"}
 """Words for the payload, in the columns with the ratio to rigid kinematics."""
-NYQUIST_HALF_WIDTH: Final = 1.3
-"""Half of the side of the square in the complex plane that the Nyquist diagram shows."""
 
 
 @dataclass(frozen=True)
@@ -311,26 +307,22 @@ def _without_trust(run: PlannedRun) -> list[Panel]:
         Line(run.time_s, ANGLE.shown(column), colour, width=1.0)
         for column, colour in zip(beyond_rad.T, SERIES, strict=False)
     ]
-    distance = Line(run.time_s, LENGTH.shown(run.away_m), PURPLE, width=1.0)
-    charts = [
-        (Chart(f"{run.dof}DOF, {_payload_words(run)}",
-               f"Distance from the path, {LENGTH.text(run.max_m)} at most.", [distance]),
-         LENGTH.label("distance from the path")),
-        (Chart("corrections of the joints",
-               f"Corrections of the goals, {ANGLE.text(np.abs(beyond_rad).max())} at most.",
-               corrections),
-         ANGLE.label("correction")),
-    ]  # fmt: skip
+    distance = [Line(run.time_s, LENGTH.shown(run.away_m), PURPLE, width=1.0)]
     untrusted = np.concatenate([[False], run.trust > TrustState.TRUSTED, [False]])
     edges_s = run.plan.period_s * np.flatnonzero(np.diff(untrusted.astype(int)))
+    most_mm, most_deg = LENGTH.text(run.max_m), ANGLE.text(np.abs(beyond_rad).max())
+    name = f"{run.dof}DOF, {_payload_words(run)}"
     panels = []
-    for (title, alt, lines), ylabel in charts:
+    for title, lines, ylabel in (
+        (f"{name}: distance from the path, {most_mm} at most", distance, LENGTH.label("distance")),
+        (f"Corrections of the joints, {most_deg} at most", corrections, ANGLE.label("correction")),
+    ):
         with Drawing() as (drawing, ax):
             for start_s, end_s in edges_s.reshape(-1, 2):
                 ax.axvspan(start_s, end_s, color=SPAN, lw=0)
             plot_lines(ax, lines)
             ax.set(xlabel=TIME.label("time"), ylabel=ylabel)
-        panels.append(drawing.panel(title, alt))
+        panels.append(drawing.panel(title, f"{title}; shaded where the estimate is not trusted."))
     return panels
 
 
@@ -338,7 +330,7 @@ def _without_trust(run: PlannedRun) -> list[Panel]:
 
 
 def _feedback(plans: Mapping[int, TipPlan], plant: Plant | None) -> list[Section]:
-    """Section on margins; Bode and Nyquist diagrams are of the linearised twin of `plant`."""
+    """Section on margins; the Bode plots are of the linearised twin of `plant`."""
     guided = {dof: plan for dof, plan in sorted(plans.items()) if plan.feedback is not None}
     if not guided:
         return []
@@ -376,7 +368,7 @@ def _margin_table(plans: Mapping[int, TipPlan]) -> Table:
 
 
 def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
-    """Draw Bode and Nyquist diagrams of every joint, one curve for each payload."""
+    """Bode plot of the loop of every joint, one curve for each payload."""
     if plan.feedback is None:
         return []
     grid, twins = plan.grid_kg.tolist(), LinearTwins(plant, plan.dof, plan.period_s)
@@ -384,52 +376,14 @@ def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
         open_loops(filters, tip_responses(twins, payload_kg), plan.period_s)
         for filters, payload_kg in zip(plan.feedback.filters, grid, strict=True)
     ]
-    rates_rad_s, colours = frequencies(plan.period_s), ordered_colours(len(grid))
+    frequency_hz, colours = frequencies(plan.period_s) / (2 * np.pi), ordered_colours(len(grid))
     legend = [LegendEntry(c, f"{m:g} kg") for c, m in zip(colours, grid, strict=True)]
     figures = []
     for joint in range(plan.dof):
         name = f"{plan.dof}DOF, joint {joint + 1}"
         sliding = [(of_payload[joint][0], c) for of_payload, c in zip(loops, colours, strict=True)]
-        panels = [*_bode(rates_rad_s, sliding, name), _nyquist(sliding, name)]
-        note = "Nyquist: the red cross is −1; the marks are 6 dB and 45° beside it."
-        figures.append(Figure(f"Loop of {name}", note, panels, legend=legend))
+        panels = bode_panels(
+            frequency_hz, sliding, f"of the loop of {name}, by payload,", limits=(1.0, -180.0)
+        )
+        figures.append(Figure(f"Loop of {name}", "", panels, legend=legend))
     return figures
-
-
-def _bode(rates_rad_s: Array, loops: Sequence[tuple[Response, str]], name: str) -> list[Panel]:
-    xlabel, ends = "frequency, rad/s", rates_rad_s[[0, -1]]
-    gain = [Line(ends, [1.0, 1.0], MUTED, width=0.8)]
-    gain += [Line(rates_rad_s, np.abs(loop), colour, width=1.0) for loop, colour in loops]
-    phase = [Line(ends, [-180.0, -180.0], MUTED, width=0.8)]
-    phase += [
-        Line(rates_rad_s, ANGLE.shown(np.unwrap(np.angle(loop))), colour, width=1.0)
-        for loop, colour in loops
-    ]
-    alt = f"of the loop of {name} over frequency, by payload."
-    return [
-        *line_panels(
-            [Chart("Bode, gain", f"Gain {alt}", gain)], xlabel, "gain", xscale="log", yscale="log"
-        ),
-        *line_panels(
-            [Chart("Bode, phase", f"Phase {alt}", phase)],
-            xlabel, ANGLE.label("phase"), xscale="log",
-        ),
-    ]  # fmt: skip
-
-
-def _nyquist(loops: Sequence[tuple[Response, str]], name: str) -> Panel:
-    """Nyquist diagram with the unit circle, −1, and the smallest allowed margins."""
-    half, turn = NYQUIST_HALF_WIDTH, np.linspace(0.0, 2.0 * np.pi, 200)
-    lines = [Line(loop.real, loop.imag, colour, width=1.0) for loop, colour in loops]
-    lines.append(Line(np.cos(turn), np.sin(turn), MUTED, width=0.6))
-    with Drawing(3.6) as (drawing, ax):
-        plot_lines(ax, lines)
-        ax.plot([-1.0], [0.0], "+", color=ALARM, ms=9)
-        ax.plot([-(10.0 ** (-LEAST_GAIN_DB / 20.0))], [0.0], "|", color=INK, ms=9)
-        side = np.sin(LEAST_PHASE_RAD)
-        ax.plot([-np.cos(LEAST_PHASE_RAD)] * 2, [side, -side], "x", color=INK, ms=6)
-        ax.set(
-            xlim=(-half, half), ylim=(-half, half), xlabel="real part", ylabel="imaginary part",
-            aspect="equal",
-        )  # fmt: skip
-    return drawing.panel("Nyquist", f"Nyquist diagram of the loop of {name}, by payload.")

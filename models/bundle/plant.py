@@ -14,9 +14,7 @@ from models.plant.document import plain_plant
 from models.plant.plant import Plant
 
 
-def compare_with_bundle(
-    plant: Plant, path: Path | str, files: BundleFiles, product: str
-) -> None:
+def compare_with_bundle(plant: Plant, path: Path | str, files: BundleFiles, product: str) -> None:
     """Compare a plant with that of a bundle; warn on stderr if they differ, refuse another link.
 
     A bundle without the observer holds no plant, so only the hashes are compared. `product`: what

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -109,16 +110,18 @@ def line_panels(
     return panels
 
 
-def log_axis(ax: Any, values: Iterable[float]) -> None:
-    """Logarithmic y axis around the positive `values`, labelled at 1, 2 and 5 in plain figures.
+def log_axis(ax: Any, values: Iterable[float], which: Literal["x", "y"] = "y") -> None:
+    """Logarithmic axis around the positive `values`, labelled at 1, 2 and 5 in plain figures.
 
     With the values of every panel of a figure, its panels share one scale.
     """
     positive = [v for v in values if v > 0]
-    ax.set(yscale="log", ylim=(0.8 * min(positive), 1.25 * max(positive)))
-    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    ax.yaxis.set_minor_locator(NullLocator())
+    ax.set(**{f"{which}scale": "log", f"{which}lim": (0.8 * min(positive), 1.25 * max(positive))})
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    decades = math.log10(max(positive) / min(positive))
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2.5 else (1,)))
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 def _to_svg(figure: Any) -> str:

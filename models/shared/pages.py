@@ -6,7 +6,7 @@ they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -45,10 +45,11 @@ class Notice:
 
 @dataclass(frozen=True)
 class TableCell:
-    """Text of a cell, and whether it meets its target (None without a target)."""
+    """Text of a cell, whether it meets its target, and a shade between 0 and 1 for its size."""
 
     text: Text
-    met: bool | None = None
+    met: bool | None = None  # None without a target
+    shade: float | None = None
 
 
 Cell = TableCell | Text
@@ -94,7 +95,6 @@ class Figure:
     title: str  # Heading; "" for none
     note: str  # Sentence below the heading
     panels: Sequence[Panel]
-    paper: str = ""  # Number of the paper's figure, "" for none
     legend: Sequence[LegendEntry] = ()  # What the colours stand for
 
 
@@ -108,34 +108,22 @@ class Facts:
 
 @dataclass(frozen=True)
 class CommandList:
-    """Commands in order; `folded` shows their number until the reader unfolds them."""
+    """Commands in order."""
 
     macro: ClassVar = "commands"
     commands: Sequence[str]
-    folded: bool = False
 
 
 @dataclass(frozen=True)
-class ClaimCard:
-    """Claim with the findings of each study."""
+class Folded:
+    """Parts that the reader unfolds; paper shows them."""
 
-    claim: str
-    # Studies that agree; whether the claim holds (None if they cannot tell); the finding
-    verdicts: Sequence[tuple[Sequence[str], bool | None, str]]
-    depends_on: Sequence[str]
-
-    VERDICTS: ClassVar = {True: "comes out", False: "does not come out", None: "cannot be told"}
+    macro: ClassVar = "folded"
+    title: str
+    parts: Sequence[Paragraph | Table | Figure | Facts | CommandList]
 
 
-@dataclass(frozen=True)
-class ClaimCards:
-    """Claim cards side by side."""
-
-    macro: ClassVar = "claims"
-    cards: Sequence[ClaimCard]
-
-
-Part = Paragraph | Notice | Table | Figure | Facts | CommandList | ClaimCards
+Part = Paragraph | Notice | Table | Figure | Facts | CommandList | Folded
 
 
 @dataclass(frozen=True)
@@ -147,10 +135,11 @@ class Section:
     parts: list[Part] = field(default_factory=list)
 
 
-def missing_inputs(command: str) -> Paragraph:
-    """Line that replaces a part with missing inputs, with the command that writes them."""
-    text = Markup("Not shown: the inputs are missing. To create them, run <code>{}</code>.")
-    return Paragraph(text.format(command), "missing")
+def missing_inputs(commands: Mapping[str, str]) -> Paragraph:
+    """Line about inputs that a page lacks, with the command that writes each."""
+    row = Markup("{} (<code>{}</code>)")
+    listed = Markup(", ").join(row.format(what, command) for what, command in commands.items())
+    return Paragraph(Markup("Not in this report: {}.").format(listed), "missing")
 
 
 STYLE: Final = Path(__file__).with_name("style.css")

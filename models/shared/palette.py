@@ -7,10 +7,7 @@ falling lightness.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from matplotlib.colors import Colormap
+from typing import Final
 
 INK: Final = "#1f2933"
 """Text, axes, and measured signals."""
@@ -42,6 +39,7 @@ PAGE_COLOURS: Final = {
     "line": "#dfe4e9", "strong-line": "#b9c2cb", "shade": "#f5f7f9",
     "link": "#1d5f8a", "met": "#1f6f43", "unmet": "#a3231b",
     "simulated": "#8f4a12", "measured": "#1d5f8a", "mixed": "#6a3d9a", "unknown": "#5b6673",
+    "large": "#e34a33",
 }  # fmt: skip
 """Variables of `style.css`; text keeps a contrast of at least 4.5 on paper and shade."""
 DARK_PAGE_COLOURS: Final = {
@@ -49,10 +47,9 @@ DARK_PAGE_COLOURS: Final = {
     "line": "#2f3841", "strong-line": "#5a6570", "shade": "#1f262d",
     "link": "#86bfe6", "met": "#6cc795", "unmet": "#f29186",
     "simulated": "#eaa872", "measured": "#86bfe6", "mixed": "#c7abea", "unknown": "#a9b3bd",
+    "large": "#e34a33",
 }  # fmt: skip
 """The same for readers who prefer dark pages; figures keep the light colours."""
-HEAT: Final = ("#fff7ec", "#fdcc8a", "#e34a33", "#7f0000")
-"""White over orange to dark red (ColorBrewer, OrRd)."""
 
 
 def css_variables() -> str:
@@ -76,10 +73,3 @@ def ordered_colours(count: int) -> list[str]:
     ramp = matplotlib.colormaps["plasma_r"]
     fractions = [0.22 + 0.74 * k / max(count - 1, 1) for k in range(count)]
     return [str(to_hex(ramp(fraction))) for fraction in fractions]
-
-
-def heat_colours() -> Colormap:
-    """The heat ramp as a colour map over 0 to 1."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("heat", HEAT)

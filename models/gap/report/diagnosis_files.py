@@ -26,16 +26,18 @@ def write_diagnosis(
 
     Returns the diagnosis, its document, and the path of the page.
     """
-    found = diagnose(plant, trials, report, leave_out, settings=settings)
-    return found, *write_results(found, inputs, out)
+    diagnosis = diagnose(plant, trials, report, leave_out, settings=settings)
+    return diagnosis, *write_results(diagnosis, inputs, out)
 
 
-def write_results(found: Diagnosis, inputs: DiagnosisInputs, out: Path) -> tuple[GapDocument, Path]:
+def write_results(
+    diagnosis: Diagnosis, inputs: DiagnosisInputs, out: Path
+) -> tuple[GapDocument, Path]:
     """Write the files of a diagnosis; returns its document and the path of the page."""
-    document = msgspec.structs.replace(gap_document(found), inputs=inputs)
+    document = msgspec.structs.replace(gap_document(diagnosis), inputs=inputs)
     out.mkdir(parents=True, exist_ok=True)
     write_gap_document(out / "gap.json", document)
-    found.improved.write(out / "plant.json")
+    diagnosis.improved.write(out / "plant.json")
     page = out / "report.html"
-    write_gap_page(document, found.plant, found.improved, found.trials, page)
+    write_gap_page(document, diagnosis.plant, diagnosis.improved, diagnosis.trials, page)
     return document, page

@@ -1,8 +1,8 @@
-"""Charts of the gap workflow: signals over time, measured and simulated, and bars of d′."""
+"""Charts of the gap workflow: signals over time, measured and simulated, with their errors."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,7 +15,7 @@ from models.gap.report.gap_json import MappedRegion, largest_gaps
 from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import Plant
 from models.shared.pages import LegendEntry
-from models.shared.palette import AFTER, ALARM, BEFORE, MEASURED, MUTED
+from models.shared.palette import AFTER, BEFORE, MEASURED, MUTED
 from models.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -45,11 +45,11 @@ class SignalCurves:
     @property
     def errors(self) -> list[Array]:
         """Measured minus simulated."""
-        return [self.measured - own for own in self.simulated]
+        return [self.measured - simulated for simulated in self.simulated]
 
     @property
     def rms(self) -> list[float]:
-        return [float(np.sqrt(np.nanmean(own**2))) for own in self.errors]
+        return [float(np.sqrt(np.nanmean(error**2))) for error in self.errors]
 
 
 def signal_curves(
@@ -129,39 +129,18 @@ def draw_errors(
     ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
 
 
-def draw_bars(
-    ax: Any, rows: Sequence[tuple[str, float]], nothing: float, coloured: Collection[str]
-) -> None:
-    """Draw d′ by name as horizontal bars, the first on top, and a line at that of nothing."""
-    for k, (name, value) in enumerate(rows):
-        ax.barh(k, value, height=0.7, color=BEFORE if name in coloured else MUTED)
-        ax.annotate(
-            f"{value:.1f}", (value, k), (4, 0), textcoords="offset points", va="center",
-            fontsize=8.5,
-        )  # fmt: skip
-    ax.axvline(nothing, color=ALARM, ls="--", lw=1.2)
-    ax.set(
-        xlabel=f"d′, dashed: where nothing is missing, up to {nothing:.0f}",
-        ylim=(len(rows) - 0.4, -0.6),
-    )
-    ax.set(xlim=(0, 1.16 * max(nothing, *(value for _, value in rows))))
-    ax.set_yticks(range(len(rows)), [name for name, _ in rows])
-    ax.tick_params(axis="y", length=0)
-    ax.grid(False, axis="y")
-
-
-def plot_signals(found: Diagnosis) -> Figure:
+def plot_signals(diagnosis: Diagnosis) -> Figure:
     """Signals with the largest gap over time: measured, simulated before and after, and errors."""
     from matplotlib import pyplot
 
     from models.gap.report.gap_results import mapped, noise_floor_rms
     from models.shared.drawing import FILE_STYLE
 
-    floor = noise_floor_rms(found) if found.floor.learned else {}
+    floor = noise_floor_rms(diagnosis) if diagnosis.floor.learned else {}
     rows = signal_curves(
-        found.plant, found.improved, found.trials, mapped(found.located),
-        {s: own.rms for s, own in floor.items()},
-        unused=found.nuisance.estimator.residuals.goal_not_followed(),
+        diagnosis.plant, diagnosis.improved, diagnosis.trials, mapped(diagnosis.located),
+        {s: row.rms for s, row in floor.items()},
+        unused=diagnosis.nuisance.estimator.residuals.goal_not_followed(),
     )  # fmt: skip
     figure: Figure
     with pyplot.rc_context(FILE_STYLE):
@@ -172,7 +151,7 @@ def plot_signals(found: Diagnosis) -> Figure:
         for (upper, lower), curves in zip(axes.T, rows, strict=True):
             draw_signal(upper, lower, curves)
         axes[0, 0].legend(fontsize=7)
-        band = "; grey: noise floor" if found.floor.learned else ""
+        band = "; grey: noise floor" if diagnosis.floor.learned else ""
         figure.suptitle(f"Trial {rows[0].trial.name}{band}", fontsize=10)
         pyplot.close(figure)
     return figure

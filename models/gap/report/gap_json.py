@@ -25,18 +25,14 @@ class SignalFloor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Noise floor by signal; `learned` is false where the plant file has none.
+    """Noise floor by signal."""
 
-    `own_error` states by group of trials whether the plant's own error was `measured` on trials
-    like these, `transferred` from others of the same motion with another length, step or rest, or
-    is `unknown`; an unknown error is not subtracted. `amplification` is the factor in amplitude, by
-    payload in kg, by which the floor exceeds that of the plant file, where repetitions differ far
-    more than that.
-    """
-
-    learned: bool
+    learned: bool  # False where the plant file has no floor
     signals: dict[str, SignalFloor]
+    # How the plant's own error is known, by group of trials; an unknown one is not subtracted
     own_error: dict[str, Knowledge] = {}
+    # Factor in amplitude, by payload in kg, by which the floor exceeds that of the plant file,
+    # where repetitions differ far more than that
     amplification: dict[str, float] = {}
 
 
@@ -89,7 +85,7 @@ class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `separation` is the d′ that it adds to those named before it, `separation_of_nothing` the d′
     that is reached where nothing is missing. Of the whole named set
     (`models.gap.decision.certainty`): `difference` of its strengths between parts of the trials,
-    and mean squared `residual` that it leaves, in noise floors.
+    and the mean squared residual, `left`, in noise floors.
     """
 
     separation: float
@@ -306,7 +302,7 @@ class GapDocument(Document, frozen=True, kw_only=True):
     def floor_rms(self) -> dict[str, float]:
         """Noise floor by signal, in SI units; empty where none was learned."""
         floor = self.noise_floor
-        return {s: own.rms for s, own in floor.signals.items()} if floor.learned else {}
+        return {s: row.rms for s, row in floor.signals.items()} if floor.learned else {}
 
     @property
     def best_known_errors(self) -> tuple[dict[str, SignalGap], dict[str, SignalGap]]:

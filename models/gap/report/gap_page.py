@@ -18,7 +18,6 @@ from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_charts import (
     BEFORE_AND_AFTER,
     SignalCurves,
-    draw_bars,
     draw_signal,
     signal_curves,
 )
@@ -56,8 +55,6 @@ from models.shared.palette import MEASURED, MUTED
 from models.trials.origin import origin_notice, origins_of
 from models.trials.trial import Trial, TrialSet
 
-MOST_COMPARED: Final = 8
-"""Most effects in the figure of d′."""
 MOST_HYPOTHESES: Final = 6
 
 
@@ -68,7 +65,7 @@ def write_gap_page(
     page = render_page(
         "The gap between plant and measurement",
         [origin_notice(origins_of(trials)), *lead],
-        gap_sections(document, trials),
+        gap_sections(document),
     )
     path.write_text(page, encoding="utf-8")
     return path
@@ -81,7 +78,7 @@ def gap_lead(
     trials: Sequence[Trial],
     gap_json: str = "OUT/gap.json",
 ) -> list[Part]:
-    """What is wrong, how it shows, how much better the plant is, and what to do."""
+    """What is wrong and how sure that is, what to do, how much better the plant is, and where."""
     curves = signal_curves(
         before, after, trials, document.map, document.floor_rms,
         most_improved_signal(document), document.goal_not_followed_at_row,
@@ -89,10 +86,10 @@ def gap_lead(
     next_step = Markup("<b>Next:</b> {}").format(next_step_in_words(document, gap_json))
     return [
         Paragraph(document.headline, "lead"),
-        _signals(document, curves),
-        _errors(document),
         *_checks(document),
         Paragraph(next_step),
+        _errors(document),
+        _signals(document, curves),
     ]
 
 
@@ -102,7 +99,7 @@ def _signals(document: GapDocument, curves: Sequence[SignalCurves]) -> Figure:
     return Figure(
         "", f"Trial {curves[0].trial.name}, in which the error of the first signal changes most; "
         "below each signal its error, measured minus simulated.",
-        [_signal(own) for own in curves],
+        [_signal(row) for row in curves],
         legend=legend,
     )  # fmt: skip
 
@@ -126,13 +123,13 @@ def _errors(document: GapDocument) -> Table:
     for signal, before, after in errors_in_order(document):
         unit, name = error_unit(before.unit), signal_in_words(signal)
         row: list[Cell] = [
-            name[0].upper() + name[1:],
-            unit.significant(before.rms),
-            unit.significant(after.rms),
+            unit.label(name[0].upper() + name[1:]),
+            f"{unit.factor * before.rms:.3g}",
+            f"{unit.factor * after.rms:.3g}",
             _change(after.rms / before.rms - 1) if before.rms else NO_VALUE,
         ]
         if floor:
-            row.append(unit.significant(floor[signal]) if signal in floor else NO_VALUE)
+            row.append(f"{unit.factor * floor[signal]:.3g}" if signal in floor else NO_VALUE)
         rows.append(row)
     head = ["", "before", "after", "change", *(["noise floor"] if floor else [])]
     title = errors_of_what(document)
@@ -155,12 +152,12 @@ def _checks(document: GapDocument) -> list[Part]:
     return [Table("What to check on the robot", ["effect", "check"], rows)] if rows else []
 
 
-def gap_sections(document: GapDocument, trials: Sequence[Trial]) -> list[Section]:
+def gap_sections(document: GapDocument) -> list[Section]:
     """Sections of the page below its lead; the last one lists the effects that were not named."""
-    where = localisation_maps(document.map, trials[0], FALSE_DISCOVERY_RATE)
+    where = localisation_maps(document.map, FALSE_DISCOVERY_RATE)
     result = [
         Section("what", "What is missing, and what else could explain it", _what(document)),
-        Section("where", "Where the gap is", [Paragraph(document.sentence), where]),
+        Section("where", "Where the gap is", [Paragraph(document.sentence), *where]),
         Section("written", "What was written to the plant", _written(document)),
     ]
     if notes := notes_in_words(document):
@@ -178,7 +175,6 @@ def _what(document: GapDocument) -> list[Part]:
     parts += [Paragraph(text) for text in texts if text]
     if document.probabilities is not None:
         parts.append(_hypotheses(document, document.probabilities.outside))
-    parts += _compared(document)
     floor = "noise floor" if document.floor_rms else "residual of the refitted plant"
     note = "d′ is the distance from a plant without the effect, in standard deviations of the "
     parts.append(Paragraph(f"{note}{floor}.", "note"))
@@ -208,20 +204,6 @@ def _hypotheses(document: GapDocument, outside: float) -> Table:
     return Table("What may be missing", ["", "probability"], rows)
 
 
-def _compared(document: GapDocument) -> list[Figure]:
-    """Bars of d′ of the first named effect and of those that explain the gap next best."""
-    named = [(effect_in_words(r.candidate), r.evidence.separation) for r in document.named[:1]]
-    rows = named + [(effect_in_words(r.effect), r.separation) for r in document.rejected]
-    rows = sorted(rows, key=lambda row: -row[1])[:MOST_COMPARED]
-    if not rows:
-        return []
-    with Drawing(0.8 + 0.26 * len(rows)) as (drawing, ax):
-        draw_bars(ax, rows, document.separation_of_nothing, [name for name, _ in named])
-    listed = ", ".join(f"{name} {value:.1f}" for name, value in rows)
-    title = "How well each effect alone explains the gap"
-    return [Figure("", "", [drawing.panel(title, f"d′: {listed}.")])]
-
-
 def _written(document: GapDocument) -> list[Part]:
     """Effects and values of the plant that was written, and why it lacks others."""
     written, parts = document.written, []
@@ -232,7 +214,7 @@ def _written(document: GapDocument) -> list[Part]:
     elif written.reason:
         parts.append(Paragraph(_sentence(written.reason)))
     if not written.parameters:
-        return [*parts, Paragraph("The plant that was written is the plant as given, unchanged.")]
+        return [*parts, Paragraph("The plant was written unchanged.")]
     rows: list[list[Cell]] = [
         [without_unit(name), amount(q)] for name, q in written.parameters.items()
     ]

@@ -49,12 +49,12 @@ LISTED_PROBABILITY: Final = 0.01
 UNEXCITED: Final = "these trials hardly excite it"
 
 
-def gap_document(found: Diagnosis) -> GapDocument:
+def gap_document(diagnosis: Diagnosis) -> GapDocument:
     """Results of a diagnosis as the content of `gap.json`.
 
     Parameters
     ----------
-    found : Diagnosis
+    diagnosis : Diagnosis
         Results of `models.gap.diagnosis.diagnose`.
 
     Returns
@@ -65,60 +65,65 @@ def gap_document(found: Diagnosis) -> GapDocument:
     Examples
     --------
     >>> import dropstitch
-    >>> document = dropstitch.gap_document(found)                # doctest: +SKIP
+    >>> document = dropstitch.gap_document(diagnosis)                # doctest: +SKIP
     >>> document.verdict, [row.effect for row in document.named]  # doctest: +SKIP
     ('closed', ['dead_time'])
     """
-    floor = noise_floor_rms(found)
-    residuals = found.nuisance.estimator.residuals
-    unused, held_out = residuals.goal_not_followed(), found.written.errors.rms()
+    floor = noise_floor_rms(diagnosis)
+    residuals = diagnosis.nuisance.estimator.residuals
+    unused, held_out = residuals.goal_not_followed(), diagnosis.written.errors.rms()
     before, after = (
         {
-            "fitted": errors_in_floors(plant, found.trials, floor, unused),
-            "held_out": _held_out_in_floors(plant, found.trials, rms, floor),
+            "fitted": errors_in_floors(plant, diagnosis.trials, floor, unused),
+            "held_out": _held_out_in_floors(plant, diagnosis.trials, rms, floor),
         }
-        for plant, rms in ((found.plant, found.held_out_baseline), (found.improved, held_out))
+        for plant, rms in (
+            (diagnosis.plant, diagnosis.held_out_baseline),
+            (diagnosis.improved, held_out),
+        )
     )
     document = GapDocument(
         schema=GapDocument.VERSION,
-        verdict=found.verdict,
-        probabilities=found.answers,
-        separation_of_nothing=round(found.separation_of_nothing, 2),
-        gap_left_fraction=round(found.gap_left_fraction, 4),
-        named=tuple(_named(found)),
-        refused=tuple(_refused(found)),
-        rejected=tuple(_rejected(found)),
+        verdict=diagnosis.verdict,
+        probabilities=diagnosis.answers,
+        separation_of_nothing=round(diagnosis.separation_of_nothing, 2),
+        gap_left_fraction=round(diagnosis.gap_left_fraction, 4),
+        named=tuple(_named(diagnosis)),
+        refused=tuple(_refused(diagnosis)),
+        rejected=tuple(_rejected(diagnosis)),
         effect_probabilities={
             e: round(p, 4)
-            for e, p in effect_probabilities(found.hypotheses).items()
+            for e, p in effect_probabilities(diagnosis.hypotheses).items()
             if p >= LISTED_PROBABILITY
         },
-        hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
-        written=_written(found),
-        sentence=_place(found, found.located),
-        located=_located(found.located, MOST_LOCATED),
-        map=mapped(found.located),
+        hypotheses=tuple(_hypothesis(diagnosis, h) for h in diagnosis.hypotheses),
+        written=_written(diagnosis),
+        sentence=_place(diagnosis, diagnosis.located),
+        located=_located(diagnosis.located, MOST_LOCATED),
+        map=mapped(diagnosis.located),
         remaining=RemainingGap(
-            _place(found, found.remaining), _located(found.remaining, MOST_REMAINING)
+            _place(diagnosis, diagnosis.remaining), _located(diagnosis.remaining, MOST_REMAINING)
         ),
         noise_floor=NoiseFloorSummary(
-            found.floor.learned,
+            diagnosis.floor.learned,
             floor,
-            found.nuisance.measured.knowledge(),
-            {f"{kg:g}": round(p**0.5, 2) for kg, p in found.floor.amplification_power.items()},
+            diagnosis.nuisance.measured.knowledge(),
+            {f"{kg:g}": round(p**0.5, 2) for kg, p in diagnosis.floor.amplification_power.items()},
         ),
         before=before,
         after=after,
-        held_out=HeldOutSummary(found.left_out, round(found.unexplained_fraction, 4)),
-        odd_trials=found.outliers,
-        changed_conditions=changed_conditions(found.plant.provenance, found.floor, found.trials),
+        held_out=HeldOutSummary(diagnosis.left_out, round(diagnosis.unexplained_fraction, 4)),
+        odd_trials=diagnosis.outliers,
+        changed_conditions=changed_conditions(
+            diagnosis.plant.provenance, diagnosis.floor, diagnosis.trials
+        ),
         rows_fitted={
             t.name: len(t)
-            for t, whole in zip(residuals.trials, found.trials, strict=True)
+            for t, whole in zip(residuals.trials, diagnosis.trials, strict=True)
             if len(t) < len(whole)
         },
         goal_not_followed_at_row=unused,
-        settings=found.settings,
+        settings=diagnosis.settings,
     )
     return msgspec.structs.replace(document, headline=headline(document))
 
@@ -137,13 +142,13 @@ def _located(regions: Sequence[GapRegion], most: int) -> tuple[MappedRegion, ...
     return mapped([c for c in regions if c.significant][:most])
 
 
-def noise_floor_rms(found: Diagnosis) -> dict[str, SignalFloor]:
+def noise_floor_rms(diagnosis: Diagnosis) -> dict[str, SignalFloor]:
     """Noise floor of each signal as root mean squares over the spectrum."""
 
     def rms(variance: Array) -> float:
         return float(np.sqrt(np.mean(variance)))
 
-    noise, model = found.floor.noise, found.floor.model
+    noise, model = diagnosis.floor.noise, diagnosis.floor.model
     return {s: SignalFloor(rms(n), rms(model[s]), rms(n + model[s])) for s, n in noise.items()}
 
 
@@ -181,50 +186,50 @@ def _in_floors(rms: float, unit: str, floor: SignalFloor | None) -> SignalGap:
     return SignalGap(rms, unit, rms / floor.rms if floor and floor.rms > 0 else None)
 
 
-def _place(found: Diagnosis, regions: Sequence[GapRegion]) -> str:
+def _place(diagnosis: Diagnosis, regions: Sequence[GapRegion]) -> str:
     """Where a gap is, in words; without a learned floor nothing can be called noise."""
-    if found.floor.learned:
+    if diagnosis.floor.learned:
         return location_sentence(regions)
     if not any(region.significant for region in regions):
         return "No part of the trials stands out from the spectrum of the residual itself."
     return location_sentence(regions).replace("noise floors", "times its mean")
 
 
-def _named(found: Diagnosis) -> list[NamedEffect]:
+def _named(diagnosis: Diagnosis) -> list[NamedEffect]:
     """Named effects, each with what it adds to those named before it."""
-    gain = _gains(found)
+    gain = _gains(diagnosis)
     rows: list[NamedEffect] = []
-    for k, name in enumerate(found.named):
-        first = frozenset(found.named[:k])
-        reached = gain.get(first | {name}, found.naming.fit.gain)
+    for k, name in enumerate(diagnosis.named):
+        first = frozenset(diagnosis.named[:k])
+        reached = gain.get(first | {name}, diagnosis.naming.fit.gain)
         separation = _separation(reached - gain.get(first, 0.0))
-        alike = found.look_alikes.get(name, ())
+        alike = diagnosis.look_alikes.get(name, ())
         effect, joint = effect_and_joint(name)
         rows.append(
             NamedEffect(
                 effect=effect,
                 joint=joint,
-                parameters=_values_of(found, name),
+                parameters=_values_of(diagnosis, name),
                 evidence=NamingEvidence(
                     separation,
-                    found.separation_of_nothing,
-                    found.evidence.difference,
-                    found.evidence.left,
+                    diagnosis.separation_of_nothing,
+                    diagnosis.evidence.difference,
+                    diagnosis.evidence.left,
                 ),
                 look_alikes=tuple(
-                    SimilarEffects(_beside(found, other), other.separation) for other in alike
+                    SimilarEffects(_beside(diagnosis, other), other.separation) for other in alike
                 ),
-                separated_by=separating_motion(found, alike) if alike else None,
+                separated_by=separating_motion(diagnosis, alike) if alike else None,
             )
         )
     return rows
 
 
-def _values_of(found: Diagnosis, name: str) -> dict[str, FittedValue]:
-    before, fitted = found.plant.parameters, found.fitted.parameters
+def _values_of(diagnosis: Diagnosis, name: str) -> dict[str, FittedValue]:
+    before, fitted = diagnosis.plant.parameters, diagnosis.fitted.parameters
     return {
         p: _fitted(fitted[p], before)
-        for direction in found.nuisance.estimator.residuals.fit_parameters
+        for direction in diagnosis.nuisance.estimator.residuals.fit_parameters
         if direction.effect == name
         for p in direction.parameters
         if p in fitted
@@ -235,14 +240,14 @@ def _fitted(q: Parameter, before: Mapping[str, Parameter]) -> FittedValue:
     return FittedValue(q.value, q.unit, q.error, before[q.name].value if q.name in before else 0.0)
 
 
-def _beside(found: Diagnosis, fit: SetFit) -> tuple[str, ...]:
+def _beside(diagnosis: Diagnosis, fit: SetFit) -> tuple[str, ...]:
     """Effects of a fit that are not named."""
-    return tuple(c for c in fit.candidates if c not in found.named)
+    return tuple(c for c in fit.candidates if c not in diagnosis.named)
 
 
-def _gains(found: Diagnosis) -> dict[frozenset[str], float]:
+def _gains(diagnosis: Diagnosis) -> dict[frozenset[str], float]:
     """Fall of the cost by set of effects, from the fit of the nuisance."""
-    fits = [*found.naming.explored, found.naming.fit]
+    fits = [*diagnosis.naming.explored, diagnosis.naming.fit]
     return {frozenset(f.candidates): f.gain for f in fits} | {frozenset(): 0.0}
 
 
@@ -250,64 +255,66 @@ def _separation(gain: float) -> float:
     return float(np.sqrt(max(2 * gain, 0.0)))
 
 
-def _written(found: Diagnosis) -> WrittenPlant:
-    before = found.plant.parameters
+def _written(diagnosis: Diagnosis) -> WrittenPlant:
+    before = diagnosis.plant.parameters
     changed = {
         name: _fitted(q, before)
-        for name, q in found.improved.parameters.items()
+        for name, q in diagnosis.improved.parameters.items()
         if name not in before or q.value != before[name].value
     }
-    return WrittenPlant(found.written.candidates, changed, found.written.refused)
+    return WrittenPlant(diagnosis.written.candidates, changed, diagnosis.written.refused)
 
 
-def _refused(found: Diagnosis) -> list[RefusedEffects]:
+def _refused(diagnosis: Diagnosis) -> list[RefusedEffects]:
     """Named effects that are not written, and the best ones that are not named."""
-    naming, rows = found.naming, []
-    if lacking := tuple(n for n in found.named if n not in found.written.candidates):
-        reason = found.written.refused
+    naming, rows = diagnosis.naming, []
+    if lacking := tuple(n for n in diagnosis.named if n not in diagnosis.written.candidates):
+        reason = diagnosis.written.refused
         rows.append(RefusedEffects(lacking, "not written", naming.fit.separation, reason))
     best = naming.best
-    if not found.named and best.separation > found.separation_of_nothing:
-        if found.answers is None:
-            reason = f"the error on the {joined(found.left_out)} left out does not fall enough"
+    if not diagnosis.named and best.separation > diagnosis.separation_of_nothing:
+        if diagnosis.answers is None:
+            reason = f"the error on the {joined(diagnosis.left_out)} left out does not fall enough"
             rows.append(RefusedEffects(best.candidates, "held-out error", best.separation, reason))
         else:
             reason = (
-                f"its probability is {found.answers.catalogue:.0%}; its strength would have to "
-                f"differ by {found.evidence.difference:.0%} between parts of the trials"
+                f"its probability is {diagnosis.answers.catalogue:.0%}; its strength would have to "
+                f"differ by {diagnosis.evidence.difference:.0%} between parts of the trials"
             )
             rows.append(RefusedEffects(best.candidates, "improbable", best.separation, reason))
-    if found.named:
-        rows += _further(found)
+    if diagnosis.named:
+        rows += _further(diagnosis)
     return rows
 
 
-def _further(found: Diagnosis) -> list[RefusedEffects]:
+def _further(diagnosis: Diagnosis) -> list[RefusedEffects]:
     """Best effect beside the named ones that noise does not explain, but their equations may."""
-    fit, last = found.naming.fit, found.naming.rounds[-1]
+    fit, last = diagnosis.naming.fit, diagnosis.naming.rounds[-1]
     best = next(iter(last), fit)
     added = _separation(best.gain - fit.gain)
-    wrong = found.settings.equation_error_fraction * fit.separation
-    alike = [_beside(found, other) for own in found.look_alikes.values() for other in own]
-    effects = _beside(found, best)
-    if added <= found.separation_of_nothing or not effects or effects in alike:
+    wrong = diagnosis.settings.equation_error_fraction * fit.separation
+    alike = [_beside(diagnosis, f) for fits in diagnosis.look_alikes.values() for f in fits]
+    effects = _beside(diagnosis, best)
+    if added <= diagnosis.separation_of_nothing or not effects or effects in alike:
         return []
-    if not found.naming.is_learned:
-        reason = f"the error on the {joined(found.left_out)} left out does not fall enough"
+    if not diagnosis.naming.is_learned:
+        reason = f"the error on the {joined(diagnosis.left_out)} left out does not fall enough"
         return [RefusedEffects(effects, "held-out error", added, reason)]
-    if added > np.hypot(found.separation_of_nothing, wrong):
+    if added > np.hypot(diagnosis.separation_of_nothing, wrong):
         reason = "its strength would have to differ between payloads, signals and frequencies"
     else:
         reason = f"errors in the named effects' equations may look like it, up to d′ {wrong:.0f}"
     return [RefusedEffects(effects, "further", added, reason)]
 
 
-def _rejected(found: Diagnosis) -> list[RejectedEffect]:
+def _rejected(diagnosis: Diagnosis) -> list[RejectedEffect]:
     """All effects that are not named, the largest d′ first."""
-    naming, search = found.naming, found.naming.search
-    named = {effect_and_joint(n)[0] for n in found.named}
-    alike = {c for own in found.look_alikes.values() for f in own for c in _beside(found, f)}
-    alone, beside = _separations(found)
+    naming, search = diagnosis.naming, diagnosis.naming.search
+    named = {effect_and_joint(n)[0] for n in diagnosis.named}
+    alike = {
+        c for fits in diagnosis.look_alikes.values() for f in fits for c in _beside(diagnosis, f)
+    }
+    alone, beside = _separations(diagnosis)
     rows: dict[str, RejectedEffect] = {}
     for candidate in search.of:
         effect = effect_and_joint(candidate)[0]
@@ -315,13 +322,13 @@ def _rejected(found: Diagnosis) -> list[RejectedEffect]:
             continue
         refitted = alone.get(candidate)
         separation = refitted or search.screened.get(candidate) or beside.get(candidate, 0.0)
-        if candidate in search.unexcited and separation < found.separation_of_nothing:
+        if candidate in search.unexcited and separation < diagnosis.separation_of_nothing:
             reason = UNEXCITED
         elif candidate in alike:
             reason = "these trials cannot tell it from what is named"
-        elif separation < found.separation_of_nothing:
+        elif separation < diagnosis.separation_of_nothing:
             reason = "it explains no more than noise may"
-        elif not found.named and naming.best.candidates == (candidate,):
+        elif not diagnosis.named and naming.best.candidates == (candidate,):
             reason = "it stands out, but is refused"
         elif refitted is None:
             reason = "others explain more, or its strength ended at a bound"
@@ -332,22 +339,22 @@ def _rejected(found: Diagnosis) -> list[RejectedEffect]:
     return sorted(rows.values(), key=lambda r: -r.separation)
 
 
-def _separations(found: Diagnosis) -> tuple[dict[str, float], dict[str, float]]:
+def _separations(diagnosis: Diagnosis) -> tuple[dict[str, float], dict[str, float]]:
     """d′ of refitted candidates: alone, and beside named ones."""
-    gain, alone, beside = _gains(found), {}, {}
-    for fit in found.naming.explored:
+    gain, alone, beside = _gains(diagnosis), {}, {}
+    for fit in diagnosis.naming.explored:
         for candidate in fit.candidates:
             rest = frozenset(fit.candidates) - {candidate}
             if not rest:
                 alone[candidate] = fit.separation
-            elif rest <= set(found.named) and rest in gain:
+            elif rest <= set(diagnosis.named) and rest in gain:
                 beside[candidate] = _separation(fit.gain - gain[rest])
     return alone, beside
 
 
-def _hypothesis(found: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:
+def _hypothesis(diagnosis: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:
     fit = hypothesis.fit
-    full = plant_with_searched_effects(found.plant, hypothesis.effects)
-    parameters = found.nuisance.estimator.residuals.fit_parameters
+    full = plant_with_searched_effects(diagnosis.plant, hypothesis.effects)
+    parameters = diagnosis.nuisance.estimator.residuals.fit_parameters
     values = written_values(full, parameters, fit.point.values, fit.free)
     return HypothesisRecord(hypothesis.effects, round(hypothesis.probability, 4), values)

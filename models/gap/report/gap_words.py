@@ -98,7 +98,10 @@ def headline(document: GapDocument) -> str:
 def _names_in_words(document: GapDocument) -> str:
     if not document.named:
         return ""
-    return f"Missing: {'; '.join(_name_in_words(document, row) for row in document.named)}."
+    probabilities = [document.effect_probabilities.get(row.candidate) for row in document.named]
+    is_sure = all(p is None or p >= DECIDED for p in probabilities)
+    names = "; ".join(_name_in_words(document, row) for row in document.named)
+    return f"{'Missing' if is_sure else 'Probably missing'}: {names}."
 
 
 def _name_in_words(document: GapDocument, row: NamedEffect) -> str:

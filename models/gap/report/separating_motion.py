@@ -36,17 +36,17 @@ NO_MOTION: Final = "none of the menu"
 """Recommendation for a plant that cannot run the fixed motions."""
 
 
-def separating_motion(found: Diagnosis, alike: Sequence[LookAlike]) -> SeparatingMotion:
+def separating_motion(diagnosis: Diagnosis, alike: Sequence[LookAlike]) -> SeparatingMotion:
     """Fixed motion with the largest least d′ between the named effects and their look-alikes.
 
     The motions are those of the link; those faster than a servo without a bus watchdog allows are
     left out.
     """
-    if found.fitted.load != "link":
+    if diagnosis.fitted.load != "link":
         return SeparatingMotion(NO_MOTION, {})
     sizes = {
-        label: round(min(_separations(found, _simulated(found.fitted, trial), alike)), 2)
-        for label, trial in _planned_trials(found.trials).items()
+        label: round(min(_separations(diagnosis, _simulated(diagnosis.fitted, trial), alike)), 2)
+        for label, trial in _planned_trials(diagnosis.trials).items()
     }
     return SeparatingMotion(max(sizes, key=lambda m: sizes[m], default=NO_MOTION), sizes)
 
@@ -77,12 +77,12 @@ def _simulated(plant: Plant, trial: Trial) -> Trial:
     return replace(trial, columns=trial.columns | outputs)
 
 
-def _separations(found: Diagnosis, trial: Trial, alike: Sequence[LookAlike]) -> list[float]:
+def _separations(diagnosis: Diagnosis, trial: Trial, alike: Sequence[LookAlike]) -> list[float]:
     """d′ that remains after each look-alike is fitted to a trial, to first order."""
-    every = found.nuisance.estimator.residuals.fit_parameters
+    every = diagnosis.nuisance.estimator.residuals.fit_parameters
     common = [k for k, q in enumerate(every) if q.trial in (None, 0)]
-    residuals = Residuals(found.plant, [trial], [every[k] for k in common])
-    estimator = GaussNewton(residuals, replace(found.floor, curves={}))
+    residuals = Residuals(diagnosis.plant, [trial], [every[k] for k in common])
+    estimator = GaussNewton(residuals, replace(diagnosis.floor, curves={}))
     result = []
     for other in alike:
         free = other.free[common]

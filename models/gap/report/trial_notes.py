@@ -97,12 +97,14 @@ def _own_error(document: GapDocument) -> list[str]:
 def _changed_in_words(row: ChangedCondition) -> str:
     """What differs from the trials of the plant, and its consequence."""
     if row.condition == "step_s":
-        here, known = (", ".join(map(DURATION.text, own)) for own in (row.trials, row.plant))
+        here, known = (
+            ", ".join(map(DURATION.text, steps_s)) for steps_s in (row.trials, row.plant)
+        )
         return (
             f"Rows are {here} apart, {known} in the trials of the plant: right if the robot sent "
             "its goals at this step, wrong if the rows were resampled."
         )
-    here, known = (", ".join(f"{v:g}" for v in own) for own in (row.trials, row.plant))
+    here, known = (", ".join(f"{v:g}" for v in values) for values in (row.trials, row.plant))
     if row.condition == "payload_kg":
         return (
             f"The plant was identified with {known} kg, not with {here} kg, so effects must be "

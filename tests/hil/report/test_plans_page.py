@@ -26,12 +26,12 @@ def test_the_page_draws_every_case(runs):
     assert page.count("<figure>") == 8
     for text in ("1DOF, 0 kg", "50.0", "12.5"):
         assert text in page
-    assert "When the estimate is not trusted" not in page and "Nyquist" not in page
+    assert "When the estimate is not trusted" not in page and "Phase" not in page
 
 
 def test_margins_loops_and_lost_trust_are_shown(plans_html):
     page = plans_html.read_text(encoding="utf-8")
-    for text in ("1 kg configured, 2.3 kg at the tip", "Nyquist", "Bode, phase", "6.4", "40.1"):
+    for text in ("1 kg configured, 2.3 kg at the tip", "Gain", "Phase", "6.4", "40.1"):
         assert text in page
     assert f"{0.017 * ROWS / 4:.1f}" in page
 

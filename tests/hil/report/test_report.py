@@ -10,12 +10,21 @@ from xml.etree import ElementTree
 import msgspec
 import numpy as np
 import pytest
+from PIL import Image
 
+from bench.readme_images import write_arm_gif
 from dropstitch.__main__ import main
+from hil.report.arm import arm_motion
 from hil.report.build_inputs import LoopRun, read_build
-from hil.report.build_page import origin_table, report_notices, report_page, results_table
-from hil.report.loop_section import loop_figures, prediction_table, verdict_sentence
-from hil.report.study_figures import candidate_table, motion_figures
+from hil.report.build_page import origin_table, report_notices, report_page
+from hil.report.loop_section import (
+    error_parts,
+    timing_figure,
+    timing_parts,
+    verdict_sentence,
+)
+from hil.report.plant_section import linear_parts
+from hil.report.study_section import candidate_table, comparison_with_paper, motion_figures
 from hil.sil.timing_verdict import TimingVerdict, judge_timing
 from models.plant.plant import NOMINAL, read_plant
 from models.predictor.document import CandidateEntry, Latency, PredictorsDocument, TipScore
@@ -68,21 +77,6 @@ def copy_1dof(copy):
     return copy
 
 
-@pytest.fixture
-def renamed(build, tmp_path):
-    """The build directory with every file and directory called otherwise."""
-    names = {
-        "bundle_1dof": "arm", "bundle_2dof": "two joints", "study_2dof_phase0": "a",
-        "study_2dof_phase90": "b", "sil_1dof": "first run",
-        "evaluate_unseen_20deg.json": "compared.json", "check_twin_1dof.json": "twin.json",
-    }  # fmt: skip
-    for usual, other in names.items():
-        path = build / usual
-        make = shutil.copytree if path.is_dir() else shutil.copyfile
-        make(path, tmp_path / other)
-    return tmp_path
-
-
 def row_of(table, words):
     (row,) = [r for r in table.cells if words in r[0].text]
     return row
@@ -117,10 +111,15 @@ def test_every_drawing_is_sound_described_and_scales(html):
         assert "nan" not in description.lower()
 
 
-def test_the_page_shows_the_figures_of_the_paper_and_of_the_files(build, html):
+def test_the_page_opens_with_the_arm_and_ends_with_the_study(html):
+    sections = re.findall(r'<section id="(\w+)">', html)
+    assert sections == ["arm", "errors", "timing", "plant", "fmus", "study", "made"]
+    arm = html[html.index('id="arm"') : html.index('id="errors"')]
+    assert "<animate " in arm and "rigid kinematics" in arm
+
+
+def test_the_page_shows_the_figures_of_the_files(build, html):
     text = Page(html).text.replace("\u00a0", " ")
-    for number in ("7", "8", "9 and 10", "11", "12 and 13", "14", "15"):
-        assert f"paper, Fig. {number} " in text
     for words in ("1DOF, trial 2", "2DOF, unseen 20° motion", "2DOF, phase 90°"):
         assert words in text
     study = json.loads((build / "bundle_2dof" / "study.json").read_text())
@@ -130,10 +129,20 @@ def test_the_page_shows_the_figures_of_the_paper_and_of_the_files(build, html):
     assert f"2DOF, all phases, unseen 20° motion {degree}" in text and " ".join(figures) in text
     check = json.loads((build / "check_twin_1dof.json").read_text())
     assert all(c["detail"] in text for c in check["checks"])
-    for finding in study["findings"]:
-        assert finding["claim"] in text and finding["depends_on"] in text
     commands = (build / "commands.log").read_text().splitlines()
     assert re.findall(r"<li><code>(.*?)</code>", html) == commands[1:], "each once, the last use"
+
+
+def test_only_the_link_of_the_paper_is_compared_with_it(build, html):
+    studies = read_build(build).studies
+    (folded,) = comparison_with_paper(studies)
+    assert folded.title in html and "Not reproduced" not in html
+    claims = {finding.claim for study in studies.values() for finding in study.findings}
+    assert claims == {row[0] for row in folded.parts[0].rows}
+    of_another_link = {
+        name: msgspec.structs.replace(study, findings=()) for name, study in studies.items()
+    }
+    assert comparison_with_paper(of_another_link) == []
 
 
 @pytest.mark.slow
@@ -152,16 +161,22 @@ def test_text_from_files_is_text(copy_1dof):
 def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
     assert main(["report", "build", str(tmp_path), "--json"]) == 0
     output = capsys.readouterr()
-    assert "report 9/9" in output.err
+    assert "report 8/8" in output.err
     result = json.loads(output.out)
     text = Page((tmp_path / "report.html").read_text()).text
     assert result["bytes"] == (tmp_path / "report.html").stat().st_size
-    assert text.count("Not shown") == 8
-    table = results_table(read_build(tmp_path))
-    assert len(table.rows) >= 6
-    assert all(cell.met is None for row in table.cells for cell in row[2:]), "nothing to judge"
-    for command in ("train --study", "evaluate", "fmu check build/twin_1dof.fmu", "sil"):
-        assert f"To create them, run dropstitch {command} " in text
+    assert text.count("Not in this report") == 1
+    for command in ("make study", "identify", "fmu check", "dropstitch sil", "make faults"):
+        assert command in text
+
+
+def test_several_directories_make_one_report(build, tmp_path):
+    shutil.copytree(build / "study_2dof_phase90", tmp_path / "study_2dof_phase90")
+    (tmp_path / "commands.log").write_text("make study\n")
+    inputs = read_build(build / "sil_1dof", tmp_path)
+    assert list(inputs.studies) == ["2DOF, phase 90°"]
+    assert [loop.name for loop in inputs.loops] == ["sil_1dof"]
+    assert inputs.commands == ["make study"]
 
 
 @pytest.mark.parametrize(
@@ -185,43 +200,27 @@ def test_a_damaged_or_older_file_gets_one_sentence(copy, capsys, name, content, 
 # --- which files are read -----------------------------------------------------------------------
 
 
-def test_files_are_recognised_by_their_contents(build, renamed):
-    usual, other = read_build(build), read_build(renamed)
-    assert (other.studies, other.motions) == (usual.studies, usual.motions)
-    assert other.manifests == usual.manifests
-    assert list(other.evaluations.values()) == list(usual.evaluations.values())
-    assert other.checks == {"twin": usual.checks["twin_1dof"]}
-    assert [loop.name for loop in other.loops] == ["first run"]
-    assert other.left_out == []
-    (loop,) = read_build(renamed / "first run").loops
-    assert loop.dof == 1, "one run alone is a build"
-    shutil.copytree(renamed / "arm", renamed / "bundle_1dof")
-    shutil.copytree(renamed / "a", renamed / "c")
-    assert [left.split(":")[0] for left in read_build(renamed).left_out] == ["arm", "c"]
-
-
-def test_the_usual_name_of_a_plant_comes_first(tmp_path):
-    (tmp_path / "notes.json").write_text("[1, 2]")
-    (tmp_path / "broken.json").write_text("{")
-    plant = read_plant(NOMINAL)
-    plant.write(tmp_path / "arm.json")
-    assert read_build(tmp_path).plant == plant
-    replace(plant, name="usual").write(tmp_path / "plant.json")
-    inputs = read_build(tmp_path)
-    assert inputs.plant.name == "usual"
-    assert [left.split(":")[0] for left in inputs.left_out] == ["arm.json"]
+def test_a_second_study_of_the_same_motion_is_listed(copy):
+    shutil.copytree(copy / "study_2dof_phase90", copy / "study_again")
+    inputs = read_build(copy)
+    assert [row.split(":")[0] for row in inputs.left_out] == ["study_again"]
+    assert read_build(copy / "sil_1dof").loops[0].dof == 1, "one run alone is a build"
 
 
 def test_every_phase_has_its_study_beside_the_one_of_all(build, copy):
     inputs = read_build(build)
-    assert list(inputs.motions) == ["1DOF", "2DOF, phase 0°", "2DOF, phase 90°"]
-    assert list(inputs.every_study) == [*inputs.motions, "2DOF, all phases"]
+    assert sorted(inputs.studies) == [
+        "1DOF", "2DOF, all phases", "2DOF, phase 0°", "2DOF, phase 90°",
+    ]  # fmt: skip
+    assert inputs.robot_studies[2] is inputs.studies["2DOF, all phases"]
     for phase in (0, 90):
         shutil.rmtree(copy / f"study_2dof_phase{phase}")
-    alone = read_build(copy)
-    assert list(alone.every_study) == ["1DOF", "2DOF"]
-    paths, *_ = motion_figures({"2DOF": alone.studies[2]})
+    alone = read_build(copy).studies
+    assert list(alone) == ["1DOF", "2DOF, all phases"]
+    study = alone["2DOF, all phases"]
+    paths, *_, mean_di = motion_figures({"2DOF, all phases": study})
     assert [label for _, label, _ in paths.legend][:2] == ["0 kg, phase 0°", "0 kg, phase 90°"]
+    assert f"{100 * study.mean_di['0']:.2f}\u00a0%" in mean_di.panels[0].alt
 
 
 # --- where the trials come from -----------------------------------------------------------------
@@ -229,13 +228,13 @@ def test_every_phase_has_its_study_beside_the_one_of_all(build, copy):
 
 def of_origins(inputs, of_study, of_evaluation):
     """The same build with trials of these origins."""
-    study = inputs.studies[1]
+    study = inputs.studies["1DOF"]
     part = msgspec.structs.replace(study.training, origins=of_study)
     study = msgspec.structs.replace(study, training=part, tests={"trial_2": part})
     (title, evaluation), *_ = inputs.evaluations.items()
     evaluation = msgspec.structs.replace(evaluation, origins=of_evaluation)
     return replace(
-        inputs, studies={1: study}, motions={"1DOF": study}, plant=None,
+        inputs, studies={"1DOF": study}, plant=None,
         evaluations={title: evaluation},
     )  # fmt: skip
 
@@ -264,36 +263,11 @@ def test_the_first_screen_says_where_the_trials_come_from(build, html):
     before, after = html.split('<p class="notice unknown" role="note"><strong>Origin not stated')
     assert "<h1>" in before and 'class="lead"' not in before
     assert 'class="notice simulated"' in after.split('class="lead"')[0]  # the loop is emulated
-    empty = replace(read_build(build), studies={}, motions={}, evaluations={}, loops=[])
+    empty = replace(read_build(build), studies={}, evaluations={}, loops=[])
     assert report_notices(empty) == [] and origin_table(empty) is None
 
 
-# --- results and targets ------------------------------------------------------------------------
-
-
-def test_gains_are_judged_by_their_target(build):
-    inputs = read_build(build)
-    observer = inputs.studies[1].estimators["trial_2"]["observer"]
-    for gain, met in ((0.9, True), (0.89, False)):
-        observer.benefit_recovered["3"] = gain
-        cell = row_of(results_table(inputs), "degree 3, trial 2")[2]
-        assert (cell.text, cell.met) == (f"{gain:.0%}".replace("%", "\u00a0%"), met)
-
-
-@pytest.mark.parametrize(
-    ("rms_m", "rig", "met"), [(0.0018, "default", False), (0.0018, "test_a", None)]
-)
-def test_errors_are_judged_on_the_default_rig_only(build, rms_m, rig, met):
-    """Targets were set on the default rig; trials of another origin are shown without one."""
-    inputs = read_build(build)
-    title = "unseen 20° motion"
-    evaluation = inputs.evaluations[title]
-    evaluation.dof["1"] = msgspec.structs.replace(evaluation.dof["1"], tip_rms_m=rms_m)
-    origins = (TrialOrigin("rig", rig, evaluation.trials),)
-    inputs.evaluations[title] = msgspec.structs.replace(evaluation, origins=origins)
-    row = row_of(results_table(inputs), "Tip error (RMS)")
-    assert row[2].met is met
-    assert (row[1].text == "–") is (met is None)
+# --- the study ----------------------------------------------------------------------------------
 
 
 def test_every_candidate_and_test_has_a_row_and_the_chosen_one_says_so():
@@ -320,13 +294,29 @@ def test_every_candidate_and_test_has_a_row_and_the_chosen_one_says_so():
 
 
 def test_simulated_time_makes_no_claim_about_cost(build, html):
-    inputs = read_build(build)
-    (loop,) = inputs.loops
+    (loop,) = read_build(build).loops
     assert (loop.dof, loop.in_real_time) == (1, False)
-    assert [c.text for c in row_of(results_table(inputs), "Own cost")[2:]] == ["–", "–"]
-    assert "Durations in ms" not in html
-    (figure,) = loop_figures(loop)
-    assert figure.title == "Tip predicted by the robot"
+    (sentence,) = timing_parts([loop])
+    assert "no duration was measured" in sentence.text and "deadlines" not in html
+
+
+def test_the_arm_of_a_run_moves(build, tmp_path):
+    (loop,) = read_build(build).loops
+    motion = arm_motion(loop)
+    assert 0.0 < motion.predicted_off_m < motion.rigid_off_m
+    write_arm_gif(motion, tmp_path / "link.gif", width_px=60)
+    with Image.open(tmp_path / "link.gif") as picture:
+        assert picture.n_frames > 10 and picture.width == 60
+    assert arm_motion(replace(loop, true_tip_m=None)) is None
+
+
+def test_the_plant_has_a_bode_plot_with_its_modes():
+    figure, table = linear_parts(read_plant(NOMINAL))
+    assert [panel.title for panel in figure.panels] == ["Gain", "Phase"]
+    by_payload = {row[0]: float(row[1]) for row in reversed(table.rows)}
+    assert len(by_payload) == 3
+    slower = list(by_payload.values())
+    assert slower == sorted(slower), "a heavier payload swings more slowly"
 
 
 def test_prediction_and_plant_are_compared_tick_by_tick(build):
@@ -337,7 +327,10 @@ def test_prediction_and_plant_are_compared_tick_by_tick(build):
     assert error.n == len(distance_m)
     assert distance_m.mean() == pytest.approx(error.mean_euclidean_distance_m, rel=1e-9)
     assert distance_m.max() == pytest.approx(error.max_m, rel=1e-9)
-    table = prediction_table(loop)
+    summary, figure, folded = error_parts([loop])
+    assert row_of(summary, "1DOF")[1].text == f"{1e3 * distance_m.mean():.1f}"
+    assert len(figure.panels) == 1
+    table, _ = folded.parts
     assert row_of(table, "all ticks")[1].text == str(error.n)
     counts = [int(row_of(table, w)[1].text) for w in ("rest between", "motion, as", "stop")]
     assert sum(counts) == error.n  # three seconds reach no glide
@@ -345,8 +338,7 @@ def test_prediction_and_plant_are_compared_tick_by_tick(build):
 
 def test_one_slow_tick_among_many_is_shown_named_and_judged(build):
     """The run as if in real time, with a single tick that the loop itself made too long."""
-    inputs = read_build(build)
-    (loop,) = inputs.loops
+    (loop,) = read_build(build).loops
     ticks = {name: column.copy() for name, column in loop.ticks.items()}
     ticks["busy_ns"][:] = 2_000_000
     ticks["bus_wait_ns"][:] = 1_400_000
@@ -363,12 +355,12 @@ def test_one_slow_tick_among_many_is_shown_named_and_judged(build):
         **{name: getattr(judged, name) for name in TimingVerdict.__struct_fields__},
     )
     run = LoopRun("sil", timing, ticks, loop.true_tip_m)
-    figure, _ = loop_figures(run)
-    (timeline,) = figure.panels
-    assert "19.05 ms" in timeline.alt and "<use" in timeline.svg  # its mark
+    histogram, timeline = timing_figure(run).panels
+    assert "19.05 ms" in histogram.alt and "1 ticks" in timeline.alt
+    assert timeline.svg.count("<use") > 0  # its mark
     sentence = verdict_sentence(run)
     assert "fail" in sentence and "missed 1 of " in sentence and "1 own compute" in sentence
-    table = results_table(replace(inputs, loops=[run]))
-    assert row_of(table, "missed by the loop itself")[2].met is False
-    cost = row_of(table, "Own cost")[2]
-    assert (cost.text, cost.met) == ("0.60\u00a0ms", None), "reported, not judged"
+    table = timing_parts([run])[0]
+    assert row_of(table, "verdict")[1].met is False
+    assert row_of(table, "missed by the loop itself")[1].text == "1"
+    assert row_of(table, "own cost")[1].text == "0.60\u00a0ms"

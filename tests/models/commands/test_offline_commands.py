@@ -10,10 +10,10 @@ from dropstitch.__main__ import main
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from models.commands import goalmap
-from models.shared.output_paths import check_output_directory, check_output_file
 from models.plan.learning import RecordedRun
 from models.plant.linear_twin import linearise, modes
 from models.plant.plant import NOMINAL, read_plant
+from models.shared.output_paths import check_output_directory, check_output_file
 from models.trials.files import write_trial
 from tests.firmware_py.goals.small_plan import small_plan
 

@@ -8,11 +8,10 @@ from markupsafe import Markup
 
 from models.shared.drawing import Drawing
 from models.shared.pages import (
-    ClaimCard,
-    ClaimCards,
     CommandList,
     Facts,
     Figure,
+    Folded,
     LegendEntry,
     Panel,
     Paragraph,
@@ -30,11 +29,11 @@ PARTS = {
     "table": Table(
         "sizes", ["name", "value"], [["a", TableCell("1", True)], ["b", TableCell("2", False)]]
     ),
-    "figure": Figure("A figure", "a note", [PANEL], "7", [LegendEntry("red", "line", "dashed")]),
+    "figure": Figure("A figure", "a note", [PANEL], [LegendEntry("red", "line", "dashed")]),
     "facts": Facts([("python", "3")]),
-    "commands": CommandList(["make <all>"], folded=True),
-    "claims": ClaimCards([ClaimCard("it holds", [(["1DOF"], None, "unknown")], ["the motion"])]),
-    "missing": missing_inputs("make <demo>"),
+    "commands": CommandList(["make <all>"]),
+    "folded": Folded("more", [CommandList(["make <all>"])]),
+    "missing": missing_inputs({"demo": "make <demo>"}),
 }
 
 

@@ -2,36 +2,24 @@ import numpy as np
 import pytest
 
 from firmware_py.core.units import LENGTH
-from models.gap.report.gap_charts import draw_bars, draw_errors
+from models.gap.report.gap_charts import draw_errors
 from models.gap.report.gap_json import MappedRegion, largest_gaps
-from models.gap.report.localisation_maps import draw_heat_map
+from models.gap.report.localisation_maps import localisation_maps
 from models.shared.drawing import Drawing
-from models.shared.palette import HEAT, MUTED
 
 
-def texts(ax):
-    return [t.get_text() for t in ax.texts]
-
-
-def test_a_heat_map_writes_every_value_and_leaves_missing_cells_empty():
-    cells = {("tip x", "1/8"): 1.0, ("tip x", "2/8"): 12.3, ("angle 1", "1/8"): 3.21}
-    with Drawing() as (_, ax):
-        draw_heat_map(ax, ["tip x", "angle 1"], ["1/8", "2/8"], cells, most=12.3,
-                      faint={("tip x", "1/8")})  # fmt: skip
-        assert sorted(texts(ax)) == ["1.0", "12", "3.2"]
-        assert len(ax.collections) == 3
-        assert {t.get_text(): t.get_color() for t in ax.texts}["1.0"] == MUTED
-        darkest = ax.collections[1].get_facecolor()[0][:3]
-        assert darkest == pytest.approx([int(HEAT[-1][k : k + 2], 16) / 255 for k in (1, 3, 5)])
-
-
-def test_bars_show_their_values_and_the_least_separation():
-    with Drawing() as (_, ax):
-        draw_bars(ax, [("creep", 14.0), ("prebend", 3.0)], 9.0, ["creep"])
-        assert [float(t) for t in texts(ax)] == [14.0, 3.0]
-        (limit,) = ax.lines
-        assert list(limit.get_xdata()) == [9.0, 9.0]
-        assert ax.get_xlim()[1] > 14.0
+def test_a_map_shows_every_value_and_shades_the_significant_ones():
+    regions = [
+        MappedRegion("tip_x_m", "phase", "1/8", 1.0, 0, 0.5, False),
+        MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
+        MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
+    ]
+    _, table = localisation_maps(regions, 0.05)
+    assert table.title == "Phase of the cycle" and list(table.header) == ["", "1/8", "2/8"]
+    (angle, missing), (tip, most) = (row[1:] for row in table.rows)
+    assert [cell.text for cell in (angle, missing, tip, most)] == ["3.2", "", "1.0", "12"]
+    assert tip.shade is None and missing.shade is None
+    assert 0.0 < angle.shade < most.shade == 1.0
 
 
 def test_errors_are_shown_in_their_unit_around_zero():

@@ -1,11 +1,16 @@
-"""Figures and tables of the study (paper, Figs. 7 to 15) and of the predictors of the tip."""
+"""Section about the study: predictors and estimators of the tip, motion and errors, the paper.
+
+Only the paper's link is compared with the paper. A study of another link has the same figures
+without it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from firmware_py.core.units import (
@@ -16,46 +21,123 @@ from firmware_py.core.units import (
     FRACTION,
     LENGTH,
     PAYLOAD,
-    POSITION,
     TIME,
+    DisplayUnit,
 )
 from firmware_py.system.targets import DI_GAIN_DEGREE
-from hil.report.build_inputs import motion_words
+from hil.report.build_inputs import ALL_PHASES, BuildInputs, motion_words
 from models.predictor.document import PredictorsDocument, latency_text, scores_of
 from models.predictor.validation import COVERS, coverage_text
 from models.shared.drawing import Chart, Line, line_panels
-from models.shared.pages import NO_VALUE, Figure, LegendEntry, Panel, Table
+from models.shared.pages import (
+    NO_VALUE,
+    Cell,
+    Figure,
+    Folded,
+    LegendEntry,
+    Panel,
+    Paragraph,
+    Part,
+    Table,
+)
 from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED, SERIES, ordered_colours
 from models.study.document import StudyDocument
+from models.trials.origin import TrialOrigin, merged_origins
 
 Array = NDArray[np.float64]
 Studies = Mapping[str, StudyDocument]
 """Studies by their label, such as "2DOF, phase 0°"."""
 
-PLANES: Final = {"x–z plane": ("x", "z"), "y–z plane": ("y", "z"), "from above": ("x", "y")}
-"""Axes of each view of the link."""
+PLANES: Final = {"x–z plane": ("x", "z"), "from above": ("x", "y")}
+"""Axes of each view of the tip."""
 TEST: Final = "trial_2"
-VARIANTS: Final = {
-    "with_di": ("true DI", "solid"),
-    "estimated_di": ("estimated DI (robot)", "dashed"),
-    "without_di": ("without DI", "dotted"),
+BY_DEGREE: Final = "Mean Euclidean distance in mm on trial 2 by degree"
+Look = tuple[str, str, str]
+"""Label, colour and dash of a line."""
+VARIANTS: Final[dict[str, Look]] = {
+    "with_di": ("true DI", BLUE, "solid"),
+    "estimated_di": ("estimated DI (robot)", BLUE, "dashed"),
+    "without_di": ("without DI", BLUE, "dotted"),
 }
-FOLDS: Final = {
-    "leave_one_payload_out_m": ("payloads left out of trial 1", "dashed"),
-    "blocks_m": ("blocks of time left out of trial 1", "dotted"),
+FOLDS: Final[dict[str, Look]] = {
+    "trial_2": ("trial 2", BLUE, "solid"),
+    "leave_one_payload_out_m": ("payloads left out of trial 1", INK, "dashed"),
+    "blocks_m": ("blocks of time left out of trial 1", INK, "dotted"),
 }
-SOURCES: Final = {
+SOURCES: Final[dict[str, Look]] = {
     "true": ("motion capture", INK, "solid"),
     "observer": ("plant observer", BLUE, "dashed"),
     "lagged": ("lagged regressor", AMBER, "dotted"),
 }
-PREDICTORS: Final = {
+PREDICTORS: Final[dict[str, Look]] = {
     "rigid": ("rigid kinematics", MUTED, "solid"),
     "without": ("polynomial without DI", AMBER, "dotted"),
     "estimated": ("polynomial, estimated DI (robot)", BLUE, "solid"),
     "true": ("polynomial, true DI", INK, "dashed"),
     "observer": ("tip of the plant observer", GREEN, "solid"),
 }
+
+
+VERDICTS: Final = {True: "as published", False: "differs", None: "undecided"}
+"""Comparison of a finding with the paper."""
+
+
+def study_parts(inputs: BuildInputs) -> list[Part]:
+    """Predictors and estimators, motion and errors, and the paper for the paper's link."""
+    studies, robot = inputs.studies, inputs.robot_studies
+    tables = [candidate_table(inputs.predictors)] if inputs.predictors else []
+    candidates: list[Part] = [Folded("Candidates for the robot's predictor", tables)]
+    if not studies:
+        return candidates if tables else []
+    parts: list[Part] = [
+        Paragraph(
+            "On the robot DI is not measured. The plant observer estimates it from angle and "
+            "current. It is compared with a lagged regressor and with no DI, on trial 2 and on a "
+            "motion that neither training nor identification used."
+        ),
+        predictors_by_payload(robot),
+        di_estimates(robot),
+        *motion_figures(_of_one_motion(studies)),
+        *error_figures(studies),
+        Folded("Predictors and estimators", [predictor_table(studies), di_estimator_table(robot)]),
+    ]
+    parts += candidates if tables else []
+    return parts + comparison_with_paper(studies)
+
+
+def study_origins(study: StudyDocument) -> tuple[TrialOrigin, ...]:
+    parts = (study.training, *study.tests.values())
+    return merged_origins(origin for part in parts for origin in part.origins)
+
+
+def _of_one_motion(studies: Studies) -> Studies:
+    """Studies of a single kind of motion; that of all phases only if 2DOF has no other."""
+    single = {name: study for name, study in studies.items() if name != ALL_PHASES}
+    return single if any(study.dof == 2 for study in single.values()) else studies
+
+
+def comparison_with_paper(studies: Studies) -> list[Part]:
+    """What the paper's authors report of their link, beside these trials; a link of your own has
+    no findings, so no comparison.
+    """
+    rows: dict[str, list[str]] = {}
+    for name, study in studies.items():
+        for finding in study.findings:
+            _, _, measured = finding.text.partition(": ")  # after the verdict
+            measured = (measured or finding.text).replace("trial_2", "trial 2")
+            words = f"{name}: {VERDICTS[finding.holds]}; {measured}"
+            rows.setdefault(finding.claim, []).append(words)
+    if not rows:
+        return []
+    cells: list[list[Cell]] = [[c, Markup("<br>").join(words)] for c, words in rows.items()]
+    note = (
+        "No parameter was tuned to the paper. Above are paths (its Fig. 7), DI over the angle "
+        "(9, 10) and by payload (11), errors over time (12, 13), over the degree (14) and by DI "
+        "(15). It does not state the phase by which joint 2 leads joint 1, so each "
+        "phase has a study."
+    )
+    table = Table("", ["the paper reports", "these trials"], cells, note)
+    return [Folded("Comparison with the paper", [table])]
 
 
 def _ordered_legend(labels: Iterable[str]) -> list[LegendEntry]:
@@ -73,12 +155,12 @@ def _payload_legend(studies: Studies) -> list[LegendEntry]:
     return _ordered_legend(labels)
 
 
-# --- motion of the link: Figs. 7 to 11 ----------------------------------------------------------
+# --- motion of the link -------------------------------------------------------------------------
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
-    """Draw paths, shapes and DI, with a panel for each kind of motion."""
-    return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
+    """Paths and DI, with a panel for each kind of motion."""
+    return [_paths(studies), _di_over_angle(studies), _mean_di(studies)]
 
 
 def _paths(studies: Studies) -> Figure:
@@ -88,72 +170,50 @@ def _paths(studies: Studies) -> Figure:
         colours = ordered_colours(len(paths))
         # Where the paths coincide, each is thinner than the one beneath.
         widths = [1.1 + 0.8 * k for k in reversed(range(len(paths)))]
-        for plane in ("x–z plane", "from above")[: study.dof]:
-            h, v = PLANES[plane]
+        for plane, (h, v) in [*PLANES.items()][: study.dof]:
             lines = [
                 Line(getattr(path, f"tip_{h}_m"), getattr(path, f"tip_{v}_m"), colour, width=width)
                 for path, colour, width in zip(paths, colours, widths, strict=True)
             ]
             alt = f"Path of the end effector, {motion}, {plane}, one line per payload."
-            panels += _to_scale(Chart(f"{motion}, {plane}", alt, lines), plane)
+            panels += line_panels(
+                [Chart(f"{motion}, {plane}", alt, lines)], f"{h} in m", f"{v} in m",
+                aspect="equal", adjustable="datalim",
+            )  # fmt: skip
     return Figure(
         "Paths of the end effector",
         "The base joint is at the origin; at angle zero the link is along z. The lines get thinner "
         "from the lightest payload to the heaviest.",
-        panels, "7", _payload_legend(studies),
+        panels, legend=_payload_legend(studies),
     )  # fmt: skip
-
-
-def _poses(studies: Studies) -> Figure:
-    panels: list[Panel] = []
-    for motion, study in studies.items():
-        poses = study.series.poses
-        line_m = np.array(poses.centre_line_m, dtype=np.float64)
-        whole_m = np.concatenate([np.zeros((len(line_m), 1, 3)), line_m], axis=1)
-        colours = ordered_colours(len(whole_m))
-        for plane in ("x–z plane", "y–z plane")[: study.dof]:
-            h, v = ("xyz".index(axis) for axis in PLANES[plane])
-            lines = [
-                Line(points[:, h], points[:, v], colour, marker="o")
-                for points, colour in zip(whole_m, colours, strict=True)
-            ]
-            alt = (
-                f"Centre line of the link at {len(line_m)} equal times of the first cycle; its DI "
-                f"goes from {DEFORMATION.number(min(poses.di))} to "
-                f"{DEFORMATION.text(max(poses.di))}."
-            )
-            title = f"{motion}, {plane}, {PAYLOAD.significant(poses.payload_kg)}"
-            panels += _to_scale(Chart(title, alt, lines), plane)
-    times_s = next(iter(studies.values())).series.poses.time_s
-    return Figure(
-        "Shape of the link", "Centre line through base plate and marker rows, to scale.",
-        panels, "8", _ordered_legend(map(TIME.text, times_s)),
-    )  # fmt: skip
-
-
-def _to_scale(chart: Chart, plane: str) -> list[Panel]:
-    h, v = map(POSITION.label, PLANES[plane])
-    return line_panels([chart], h, v, aspect="equal", adjustable="datalim")
 
 
 def _di_over_angle(studies: Studies) -> Figure:
     charts = []
     for motion, study in studies.items():
-        curves = study.series.di
-        lines = [
-            Line(ANGLE.shown(curve.angle_1_rad), DEFORMATION.shown(curve.di), colour, width=1.0)
-            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True)
-        ]
-        alt = (
-            f"DI over the angle of joint 1, {motion}, one loop per payload, up to "
-            f"{DEFORMATION.text(max(max(curve.di) for curve in curves.values()))}."
-        )
-        charts.append(Chart(motion, alt, lines))
+        curves = [(c.angle_1_rad, c.di) for c in study.series.di.values()]
+        alt = f"DI over the angle of joint 1, {motion}, one loop per payload."
+        charts.append(_curves(motion, alt, curves, ANGLE, DEFORMATION))
     return Figure(
         "DI over the angle", "Trial 1. Marker noise alone contributes about 0.07 %.",
         line_panels(charts, ANGLE.label("angle 1"), DEFORMATION.label("DI"), ylim=(0, None)),
-        "9 and 10", _payload_legend(studies),
+        legend=_payload_legend(studies),
     )  # fmt: skip
+
+
+def _curves(
+    title: str,
+    alt: str,
+    curves: Sequence[tuple[Sequence[float], Sequence[float]]],
+    x: DisplayUnit,
+    y: DisplayUnit,
+) -> Chart:
+    """Thin lines of an ordered quantity."""
+    lines = [
+        Line(x.shown(xs), y.shown(ys), colour, width=1.0)
+        for (xs, ys), colour in zip(curves, ordered_colours(len(curves)), strict=True)
+    ]
+    return Chart(title, alt, lines)
 
 
 def _mean_di(studies: Studies) -> Figure:
@@ -163,23 +223,20 @@ def _mean_di(studies: Studies) -> Figure:
         values = DEFORMATION.shown([*study.mean_di.values()])
         lines.append(Line(payloads_kg, values, colour, marker="o"))
         legend.append(LegendEntry(colour, motion))
-        listed.append(
-            f"{motion}: "
-            + ", ".join(f"{DEFORMATION.text(v)} at {kg} kg" for kg, v in study.mean_di.items())
-        )
-    chart = Chart("1DOF and 2DOF", f"Mean DI over payload. {'; '.join(listed)}.", lines)
+        listed.append(f"{motion}: " + ", ".join(map(DEFORMATION.text, study.mean_di.values())))
+    alt = f"Mean DI over payload. {'; '.join(listed)}."
     panels = line_panels(
-        [chart], PAYLOAD.label("payload"), DEFORMATION.label("mean DI"),
+        [Chart("All motions", alt, lines)], PAYLOAD.label("payload"), DEFORMATION.label("mean DI"),
         ylim=(0, None), xticks=payloads_kg,
     )  # fmt: skip
-    return Figure("Mean DI by payload", "Rows of trial 1 in motion.", panels, "11", legend)
+    return Figure("Mean DI by payload", "Rows of trial 1 in motion.", panels, legend=legend)
 
 
-# --- errors of the polynomials: Figs. 12 to 15 --------------------------------------------------
+# --- errors of the polynomials ------------------------------------------------------------------
 
 
 def error_figures(studies: Studies) -> list[Figure]:
-    """Draw the error figures, one panel for each study with a trial 2."""
+    """Errors over time, over the degree and by DI, a panel for each study with a trial 2."""
     tested = {name: study for name, study in studies.items() if TEST in study.tests}
     if not tested:
         return []
@@ -190,70 +247,66 @@ def _error_over_time(studies: Studies) -> Figure:
     charts = []
     for name, study in studies.items():
         error = study.series.error[TEST]
-        curves = error.euclidean_distance_m
-        lines = [
-            Line(error.time_s, LENGTH.shown(curve), colour, width=1.0)
-            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True)
-        ]
+        curves = [(error.time_s, curve) for curve in error.euclidean_distance_m.values()]
         alt = f"Euclidean distance over time, {name}, mean over payloads, a line for each degree."
-        charts.append(Chart(name, alt, lines))
+        charts.append(_curves(name, alt, curves, TIME, LENGTH))
     degrees = next(iter(studies.values())).series.error[TEST].euclidean_distance_m
     return Figure(
         "Error of the predictors over time",
         "With true DI; trained on trial 1, tested on trial 2, mean over the payloads.",
         line_panels(charts, TIME.label("time"), LENGTH.label("distance"), log=True),
-        "12 and 13", _ordered_legend(f"degree {d}" for d in degrees),
-    )  # fmt: skip
+        legend=_ordered_legend(f"degree {d}" for d in degrees),
+    )
 
 
 def _error_over_degree(studies: Studies) -> Figure:
     charts = []
     for name, study in studies.items():
-        table = study.std_euclidean_distance_m[TEST]["pooled"]["with_di"]
-        mean, deviation = _pooled(study, "with_di"), LENGTH.shown([*table.values()])
-        degrees = range(1, len(mean) + 1)
-        lines = [
-            Line(degrees, mean, BLUE, marker="o"),
-            Line(degrees, mean + deviation, BLUE, width=0.6),
-        ]
-        for kind, (_, dash) in FOLDS.items():
-            folds = study.cross_validation["with_di"].values()
-            if held_out := [v for f in folds if (v := getattr(f, kind)) is not None]:
-                lines.append(Line(degrees, LENGTH.shown(held_out), INK, dash))
-        listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(mean, 1))
-        alt = f"Mean Euclidean distance on trial 2, {name}: {listed}."
-        charts.append(Chart(name, alt, lines))
+        curves = {"trial_2": _pooled(study, "with_di")}
+        for kind in ("leave_one_payload_out_m", "blocks_m"):
+            folds = [getattr(f, kind) for f in study.cross_validation["with_di"].values()]
+            if None not in folds:
+                curves[kind] = LENGTH.shown(folds)
+        degrees = range(1, len(curves["trial_2"]) + 1)
+        charts.append(_compared(name, BY_DEGREE, degrees, curves, FOLDS))
     return Figure(
         "Error over the degree",
-        "With true DI, pooled over payloads; thin: one standard deviation of the samples above. "
-        "The degree is chosen by payloads left out of trial 1, never by trial 2.",
-        line_panels(charts, "degree", LENGTH.label("mean distance"), log=True), "14",
-        [LegendEntry(BLUE, "trial 2"),
-         *(LegendEntry(INK, label, dash) for label, dash in FOLDS.values())],
-    )  # fmt: skip
+        "With true DI, pooled over payloads. The degree is chosen by payloads left out of trial "
+        "1, never by trial 2.",
+        line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
+        legend=_legend(FOLDS),
+    )
 
 
 def _gain_by_di(studies: Studies) -> Figure:
     charts = []
     for name, study in studies.items():
         distances = {variant: _pooled(study, variant) for variant in VARIANTS}
-        lines = [
-            Line(range(1, len(of_variant) + 1), of_variant, BLUE, VARIANTS[variant][1], marker="o")
-            for variant, of_variant in distances.items()
-        ]
-        listed = "; ".join(
-            f"{VARIANTS[variant][0]} {', '.join(f'{v:.1f}' for v in of_variant)} mm"
-            for variant, of_variant in distances.items()
-        )
-        alt = f"Mean Euclidean distance by degree, from 1, {name}: {listed}."
-        charts.append(Chart(name, alt, lines))
+        degrees = range(1, len(distances["with_di"]) + 1)
+        charts.append(_compared(name, BY_DEGREE, degrees, distances, VARIANTS))
     return Figure(
         "Accuracy gained by DI",
         "Trained on trial 1, tested on trial 2. The robot has no motion capture: it uses the "
         "predictor that was trained on estimated DI.",
         line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
-        "15", [LegendEntry(BLUE, label, dash) for label, dash in VARIANTS.values()],
-    )  # fmt: skip
+        legend=_legend(VARIANTS),
+    )
+
+
+def _compared(
+    title: str, about: str, x: Sequence[float], curves: Mapping[str, Array],
+    looks: Mapping[str, Look], marker: str = "o",
+) -> Chart:  # fmt: skip
+    """Chart of several curves over the same x; `looks` by the curves' keys."""
+    lines = [Line(x, y, *looks[key][1:], marker=marker) for key, y in curves.items()]
+    means = "; ".join(
+        f"{looks[key][0]} {np.nanmean(y):.2g} on average" for key, y in curves.items()
+    )
+    return Chart(title, f"{about}, {title}: {means}.", lines)
+
+
+def _legend(looks: Mapping[str, Look]) -> list[LegendEntry]:
+    return [LegendEntry(colour, label, dash) for label, colour, dash in looks.values()]
 
 
 def _pooled(study: StudyDocument, variant: str) -> Array:
@@ -265,34 +318,25 @@ def _pooled(study: StudyDocument, variant: str) -> Array:
 
 
 def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
-    """Draw the DI of the heaviest payload over time, by source, on every test."""
+    """DI of the heaviest payload over time, by source, on every test."""
     charts = []
     for dof, study in studies.items():
         for test, curves in study.series.estimates.items():
-            lines = [
-                Line(curves.time_s, DEFORMATION.shown(getattr(curves, source)), colour, dash, 1.2)
-                for source, (_, colour, dash) in SOURCES.items()
-            ]
-            scores = study.estimators[test]
+            di = {source: DEFORMATION.shown(getattr(curves, source)) for source in SOURCES}
             title = f"{dof}DOF, {motion_words(test)}"
-            alt = (
-                f"DI of the heaviest payload over time, {title}; over all payloads R² is "
-                f"{scores['observer'].r2_di:.2f} for the observer and "
-                f"{scores['lagged'].r2_di:.2f} for the lagged regressor."
-            )
-            charts.append(Chart(title, alt, lines))
+            charts.append(_compared(title, "DI in % over time", curves.time_s, di, SOURCES, ""))
     mixed = any(len(study.training.phase_2_rad) > 1 for study in studies.values())
     return Figure(
         "DI without motion capture",
         "Heaviest payload of each test" + (", 2DOF at its smallest phase." if mixed else "."),
         line_panels(charts, TIME.label("time"), DEFORMATION.label("DI"), ylim=(0, None)),
-        legend=[LegendEntry(colour, label, dash) for label, colour, dash in SOURCES.values()],
+        legend=_legend(SOURCES),
     )
 
 
 def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
-    """Draw the mean distance of every tip predictor by payload, on every test."""
-    charts, payloads_kg = [], []
+    """Mean distance of every tip predictor by payload, on every test."""
+    charts, payloads_kg = [], list[float]()
     for dof, study in studies.items():
         for test, of_test in study.tests.items():
             payloads_kg = list(of_test.payload_kg)
@@ -300,16 +344,9 @@ def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
                 key: LENGTH.shown([by_payload[f"{kg:g}"] for kg in payloads_kg])
                 for key, by_payload in _by_payload(study, test).items()
             }
-            lines = [
-                Line(payloads_kg, values, *PREDICTORS[key][1:], marker="o")
-                for key, values in distances.items()
-            ]
-            listed = "; ".join(
-                f"{PREDICTORS[key][0]} {values.min():.1f} to {values.max():.1f} mm"
-                for key, values in distances.items()
-            )
-            alt = f"Mean distance to the measured end effector by payload: {listed}."
-            charts.append(Chart(f"{dof}DOF, {motion_words(test)}", alt, lines))
+            title = f"{dof}DOF, {motion_words(test)}"
+            about = "Mean distance in mm to the measured tip by payload"
+            charts.append(_compared(title, about, payloads_kg, distances, PREDICTORS))
     degrees = ", ".join(f"{dof}DOF {study.chosen_degree}" for dof, study in studies.items())
     return Figure(
         "Tip error by predictor",
@@ -318,7 +355,7 @@ def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
             charts, PAYLOAD.label("payload"), LENGTH.label("mean distance"), log=True,
             xticks=payloads_kg,
         ),
-        legend=[LegendEntry(colour, label, dash) for label, colour, dash in PREDICTORS.values()],
+        legend=_legend(PREDICTORS),
     )  # fmt: skip
 
 

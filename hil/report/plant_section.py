@@ -1,0 +1,175 @@
+"""Sections about the identified plant and its FMUs: modes, errors, parameters, checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from firmware_py.core.signals import PERIOD_S
+from firmware_py.core.units import (
+    ANGLE,
+    CPU_TIME,
+    FILE_SIZE,
+    FRACTION,
+    LENGTH,
+    PAYLOAD,
+    error_unit,
+    signal_words,
+    symbol_of,
+)
+from firmware_py.link.link_description import STUDY_LINK
+from hil.report.bode import bode_panels
+from hil.report.build_inputs import FmuCheckOutput
+from models.plant.document import Evaluation, SignalError, TipError
+from models.plant.linear_twin import LinearTwins, modes, tip_part
+from models.plant.plant import Plant
+from models.shared.pages import (
+    NO_VALUE,
+    Cell,
+    Figure,
+    Folded,
+    LegendEntry,
+    Paragraph,
+    Part,
+    Table,
+    TableCell,
+)
+from models.shared.palette import ordered_colours
+
+LEAST_SHARE: Final = 0.05
+"""Least share of the link's bend of a mode that is shown [assumed]."""
+PER_DEGREE: Final = LENGTH.factor / ANGLE.factor
+"""From m/rad to mm per degree."""
+
+
+def plant_parts(plant: Plant | None, evaluations: Mapping[str, Evaluation]) -> list[Part]:
+    parts: list[Part] = []
+    if plant is not None and plant.load == "link":
+        parts += linear_parts(plant)
+    if evaluations:
+        parts += _evaluation_tables(evaluations)
+    if plant is not None and (fitted := _parameter_table(plant)):
+        parts.append(Folded(f"{len(fitted.rows)} identified parameters", [fitted]))
+    return parts
+
+
+def linear_parts(plant: Plant) -> list[Part]:
+    """Bode plot of the twin from the goal of joint 1 to tip x, and its modes, by payload."""
+    heaviest_kg = (plant.link or STUDY_LINK).payload_kg
+    payloads_kg = list(dict.fromkeys([0.0, heaviest_kg / 2, heaviest_kg]))
+    twins = LinearTwins(plant, 1, PERIOD_S)
+    frequency_hz = np.geomspace(0.1, 0.9 * 0.5 / PERIOD_S, 400)
+    z = np.exp(2j * np.pi * frequency_hz * PERIOD_S)
+    curves, marks, legend, rows = [], [], [], list[list[Cell]]()
+    for payload_kg, colour in zip(payloads_kg, ordered_colours(len(payloads_kg)), strict=True):
+        system = twins.at(payload_kg)
+        response = np.asarray(tip_part(system)(z, squeeze=False))[0, 0]
+        curves.append((PER_DEGREE * response, colour))
+        legend.append(LegendEntry(colour, PAYLOAD.significant(payload_kg)))
+        for mode in modes(system):
+            if mode.damping < 1.0 and mode.shares[0] >= LEAST_SHARE:
+                mode_hz = mode.frequency_rad_s / (2 * np.pi)
+                marks.append((mode_hz, colour))
+                rows.append(
+                    [PAYLOAD.significant(payload_kg), f"{mode_hz:.2f}",
+                     FRACTION.number(mode.damping, 1), FRACTION.number(mode.shares[0])]
+                )  # fmt: skip
+    figure = Figure(
+        "Bode plot of the twin",
+        "From the goal of joint 1 to tip x, linearised about rest at angle zero with the joint in "
+        "motion; dotted: modes in which the link bends.",
+        bode_panels(
+            frequency_hz, curves, "of tip x per goal, by payload", "tip x, mm per degree", marks
+        ),
+        legend=legend,
+    )
+    header = ["payload", "mode in Hz", "damping ratio in %", "share of the link's bend in %"]
+    return [figure, Table("Modes", header, rows)] if rows else [figure]
+
+
+def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:
+    """Errors of the tip, with rigid kinematics as baseline, and of every signal."""
+    columns = {
+        f"{title}, {dof}DOF": part
+        for title, evaluation in evaluations.items()
+        for dof, part in evaluation.dof.items()
+    }
+    parts = columns.values()
+    tip: list[list[Cell]] = [
+        [name, _length(part.tip_rms_m), _length(part.rigid_tip_rms_m)]
+        for name, part in columns.items()
+    ]
+    of_payload: list[list[Cell]] = [
+        [f"{kg} kg", *(_beside_rigid(part.payloads.get(kg)) for part in parts)]
+        for kg in dict.fromkeys(kg for part in parts for kg in part.payloads)
+    ]
+    of_signals: list[list[Cell]] = [
+        [signal_words(name), *(_signal_error(part.signals.get(name)) for part in parts)]
+        for name in sorted({name for part in parts for name in part.signals})
+    ]
+    title = "Tip of the plant on trials that it was not fitted to, RMS error"
+    note = "Rigid kinematics: a link that does not bend, at the measured angles."
+    head = ["", *columns]
+    folded: list[Table] = []
+    if of_payload:
+        with_rigid = "RMS error, in brackets that of rigid kinematics."
+        folded.append(Table("Tip by payload", head, of_payload, with_rigid))
+    with_mean = "RMS error, in brackets the mean absolute error."
+    folded.append(Table("Signals", head, of_signals, with_mean))
+    return [
+        Table(title, ["trials", "plant", "rigid kinematics"], tip, note),
+        Folded("Errors by payload and signal", folded),
+    ]
+
+
+def _signal_error(error: SignalError | None) -> str:
+    if error is None:
+        return NO_VALUE
+    unit = error_unit(error.unit)
+    return f"{unit.significant(error.rms)} ({unit.factor * error.mae:.3g})"
+
+
+def _length(value_m: float | None) -> str:
+    return NO_VALUE if value_m is None else LENGTH.text(value_m)
+
+
+def _beside_rigid(error: TipError | None) -> str:
+    if error is None or error.tip_rms_m is None or error.rigid_tip_rms_m is None:
+        return NO_VALUE
+    return f"{LENGTH.text(error.tip_rms_m)} ({LENGTH.number(error.rigid_tip_rms_m)})"
+
+
+def _parameter_table(plant: Plant) -> Table | None:
+    """Identified parameters with standard errors; None if nothing was fitted."""
+    rows = []
+    for name in plant.provenance.fitted_parameters:
+        if q := plant.parameters.get(name):
+            value = f"{q.value:.4g}".replace("-", "−")
+            error = NO_VALUE if q.error is None else f"{q.error:.2g}"
+            rows.append([name, value, error, symbol_of(q.unit)])
+    return Table("", ["", "value", "standard error", "unit"], rows) if rows else None
+
+
+def fmu_parts(checks: Mapping[str, FmuCheckOutput]) -> list[Part]:
+    if not checks:
+        return []
+    listed = [
+        f"{name}: FMI {check.fmi}, {FILE_SIZE.text(check.bytes)}, "
+        f"{'all checks passed' if check.passed else 'a check failed'}"
+        + "".join(
+            f", {us:.0f}\u00a0{CPU_TIME.name} per step {how.replace('_', ' ')}"
+            for how, us in check.step_us.items()
+        )
+        for name, check in checks.items()
+    ]
+    kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
+    rows = [[kind, *(_check_cell(check, kind) for check in checks.values())] for kind in kinds]
+    return [Paragraph("; ".join(listed) + "."), Table("Checks", ["", *checks], rows)]
+
+
+def _check_cell(check: FmuCheckOutput, kind: str) -> Cell:
+    results = [c for c in check.checks if c.name == kind]
+    details = "; ".join(dict.fromkeys(c.detail for c in results))
+    return TableCell(details, all(c.passed for c in results)) if results else NO_VALUE
