@@ -28,7 +28,7 @@ DEAD_ZONES = ("backlash", "current_saturation")
 VARIATION = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
 
 
-def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1, cycles=1):
+def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1):
     """Trials of a plant, each with its own pressure, friction, clock and frame.
 
     One cycle is shorter than the study's motion and saves time.
@@ -38,7 +38,7 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1, cycles=1):
     compiled = CompiledModel(rich.step_model(dof, "twin"))
     known, outputs = names(compiled.model.parameters), names(compiled.model.outputs)
     motion = Motion(period_s=CYCLE_ROWS * PERIOD_S, phase_2_rad=np.pi / 2, dof=dof)
-    goal = motion.table_rad(rest_samples=REST_ROWS)[: REST_ROWS + cycles * CYCLE_ROWS]
+    goal = motion.table_rad(rest_samples=REST_ROWS)[: REST_ROWS + CYCLE_ROWS]
     trials = []
     for payload_kg in payloads:
         for number in range(1, repeats + 1):
@@ -74,31 +74,6 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1, cycles=1):
     return TrialSet(tuple(trials))
 
 
-def plant_of_trials(cycles):
-    """Nominal plant with the noise floor and the provenance of its own trials."""
-    nominal = read_plant()
-    trials = make_trials(nominal, 1, cycles=cycles).trials
-    plant = with_noise_floor(nominal, trials)
-    origin = plant.provenance
-    fitted = msgspec.structs.replace(origin, fitted_trials=origin.fitted_with(trials))
-    return replace(plant, provenance=fitted)
-
-
-def hiding(plant, cycles):
-    """Function (parameter=change, …) -> trials of two payloads of a plant with these changes.
-
-    Their seed is never that of the noise floor.
-    """
-
-    @functools.cache
-    def hide(**strengths):
-        full = plant.with_effects(*candidate_effects(plant))
-        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
-        return make_trials(full.with_values(values), 7, (0.0, 1.0), cycles=cycles)
-
-    return hide
-
-
 @pytest.fixture(scope="session")
 def trials_of():
     """Function (plant, seed, payloads, repeats) -> trials as that plant makes them."""
@@ -107,13 +82,29 @@ def trials_of():
 
 @pytest.fixture(scope="session")
 def plant():
-    return plant_of_trials(1)
+    """Nominal plant with the noise floor and the provenance of its own trials."""
+    trials = make_trials(read_plant(), 1).trials
+    plant = with_noise_floor(read_plant(), trials)
+    fitted = plant.provenance.fitted_with(trials)
+    return replace(
+        plant, provenance=msgspec.structs.replace(plant.provenance, fitted_trials=fitted)
+    )
 
 
 @pytest.fixture(scope="session")
 def hidden(plant):
-    """Function of `hiding` for the plant."""
-    return hiding(plant, 1)
+    """Function (parameter=change, …) -> trials of two payloads of the plant with these changes.
+
+    Their seed is not that of the noise floor.
+    """
+
+    @functools.cache
+    def hide(**strengths):
+        full = plant.with_effects(*candidate_effects(plant))
+        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
+        return make_trials(full.with_values(values), 7, (0.0, 1.0))
+
+    return hide
 
 
 @pytest.fixture(scope="session")

@@ -44,7 +44,7 @@ CATALOGUE = Answers(0.0, 1.0, 0.0)
 
 
 def naming(named=(), answers=CATALOGUE, **separations):
-    """Result of a search whose sets are given by their d′; names of a pair are joined by "__"."""
+    """Result of a search with these d′ of its sets; names of a pair are joined by "__"."""
     search = SimpleNamespace(of=dict.fromkeys(range(32)), nothing=set_fit((), 0.0))
     sets = [set_fit(tuple(name.split("__")), d) for name, d in separations.items()]
     fit = next((f for f in sets if f.candidates == named), search.nothing)

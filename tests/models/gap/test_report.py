@@ -9,7 +9,6 @@ from markupsafe import escape
 from msgspec.structs import replace
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.units import LENGTH
 from models.gap.decision.certainty import Answers
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.transfer import motion_of
@@ -22,7 +21,6 @@ from models.gap.report.effect_checks import (
     MOST_CHECKS,
     effects_to_check,
 )
-from models.gap.report.gap_charts import draw_errors
 from models.gap.report.gap_json import (
     ChangedCondition,
     DiagnosisInputs,
@@ -59,7 +57,6 @@ from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.document import FittedTrial, Provenance
 from models.plant.identification.noise_floor import trial_group_key
 from models.shared.catalogue import EVERY_EFFECT
-from models.shared.drawing import Drawing
 from models.trials.trial import Trial, TrialMeta
 
 # The files of a diagnosis
@@ -412,18 +409,6 @@ def test_groups_of_trials_are_named_in_words():
 
 
 # Charts
-
-
-def test_errors_are_shown_in_their_unit_around_zero():
-    time_s = np.arange(1000) * 0.01 + 5.0
-    before = 2e-3 * np.sin(time_s)
-    with Drawing() as (_, ax):
-        draw_errors(ax, time_s, [before, 0.5 * before], LENGTH, 1e-4)
-        first, _ = ax.lines
-        assert np.max(np.abs(first.get_ydata())) == pytest.approx(2.0, rel=1e-3)
-        assert first.get_xdata()[0] == 0.0
-        low, high = ax.get_ylim()
-        assert low == -high and ax.get_ylabel() == "error in mm"
 
 
 def test_signals_are_ranked_by_their_largest_significant_gap_over_a_trial():
