@@ -11,10 +11,12 @@ from models.gap.decision.certainty import Answers, Evidence, read_certainty
 from models.gap.decision.look_alikes import effect_probabilities, hypotheses_of, look_alikes_of
 from models.gap.decision.naming import Naming
 from models.gap.estimation.gauss_newton import FitPoint
+from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.improved_plant import _standard_errors
 from models.gap.outliers import odd_trials
 from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.search.effect_search import SetFit
+from models.plant.identification.noise_floor import TrialGroup
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -92,6 +94,11 @@ def test_a_large_gap_separates_no_better_than_its_equation_allows():
     assert probabilities(("creep",), creep=100.0, hysteresis=80.0)["creep",] > 0.97
 
 
+def test_a_difference_of_three_by_noise_counts_twenty_to_one():
+    rows = probabilities(("creep",), creep=np.hypot(8.0, 3.0), hysteresis=8.0)
+    assert rows["creep",] / rows["hysteresis",] == pytest.approx(np.exp(3.0))
+
+
 def test_useless_effects_beside_the_right_one_do_not_outweigh_it():
     """Every pair with the right effect fits as well; one more effect is as improbable as many."""
     sets = {"softening": 70.0} | {f"softening__other_{k}": 70.0 for k in range(29)}
@@ -124,20 +131,22 @@ def test_a_part_of_the_names_is_no_hypothesis():
     ],
 )
 def test_an_outlier_differs_from_its_repetition_or_else_from_lighter_and_heavier_trials(
-    monkeypatch, payloads_kg, levels, outliers
+    make_trial, payloads_kg, levels, outliers
 ):
-    monkeypatch.setattr("models.gap.outliers._levels", lambda *_: np.array(levels))
-    monkeypatch.setattr("models.gap.outliers.group_frequencies_hz", lambda *_: np.zeros(1))
+    """Levels in noise floors, whose deviation is 2."""
     trials = [
-        SimpleNamespace(name=str(k), path="", meta=SimpleNamespace(payload_kg=kg))
-        for k, kg in enumerate(payloads_kg)
+        make_trial(np.zeros(200), payload_kg=kg, name=str(k)) for k, kg in enumerate(payloads_kg)
     ]
-    group = SimpleNamespace(trials=range(len(trials)), signals=())
+    group = TrialGroup("motion", tuple(range(len(trials))), ("x",), 50)
+    rows = 2.0 * np.array(levels)[:, None, None] * np.ones((1, 1, 50))
+    floor = NoiseFloor(np.array([0.0, 30.0]), {"x": np.full(2, 4.0)}, {"x": np.zeros(2)})
     estimator = SimpleNamespace(
-        residuals=SimpleNamespace(trials=trials, groups=[group]), means=[np.zeros(1)], floor=None
-    )
-    rows = odd_trials(estimator, SimpleNamespace(rows=[np.zeros(1)]))
-    assert [int(o.name) for o in rows] == outliers
+        residuals=SimpleNamespace(trials=trials, groups=[group]),
+        means=[np.zeros_like(rows)], floor=floor,
+    )  # fmt: skip
+    result = odd_trials(estimator, SimpleNamespace(rows=[rows]))
+    assert [int(o.name) for o in result] == outliers
+    assert [o.floors for o in result] == pytest.approx([levels[k] for k in outliers])
 
 
 # What is written. The trials of a pendulum cost milliseconds; its servo reports no current.
