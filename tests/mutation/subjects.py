@@ -73,7 +73,7 @@ SUBJECTS = (
     Subject(
         "gap",
         ("models/gap/decision/*.py", "models/gap/search/*.py"),
-        ("tests/models/gap/decision", "tests/models/gap/search"),
+        ("tests/models/gap/test_decision.py", "tests/models/gap/test_search.py"),
     ),
     Subject("fmu", ("fmu/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
     Subject(

@@ -1,8 +1,9 @@
-"""Trials that a plant of our own makes: sensor noise and trial variation put on its simulation."""
+"""Trials that a plant makes, with sensor noise and trial variation, and their diagnoses."""
 
 import functools
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -27,17 +28,17 @@ DEAD_ZONES = ("backlash", "current_saturation")
 VARIATION = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
 
 
-def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1, cycles=1):
+def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1):
     """Trials of a plant, each with its own pressure, friction, clock and frame.
 
-    One cycle, shorter than the study's, for the tests' time; two where one tells too little.
+    One cycle is shorter than the study's motion and saves time.
     """
     rng = np.random.default_rng(seed)
     rich = plant.with_effects("sync_offset")
     compiled = CompiledModel(rich.step_model(dof, "twin"))
     known, outputs = names(compiled.model.parameters), names(compiled.model.outputs)
     motion = Motion(period_s=CYCLE_ROWS * PERIOD_S, phase_2_rad=np.pi / 2, dof=dof)
-    goal = motion.table_rad(rest_samples=REST_ROWS)[: REST_ROWS + cycles * CYCLE_ROWS]
+    goal = motion.table_rad(rest_samples=REST_ROWS)[: REST_ROWS + CYCLE_ROWS]
     trials = []
     for payload_kg in payloads:
         for number in range(1, repeats + 1):
@@ -74,60 +75,48 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1, cycles=1):
 
 
 @pytest.fixture(scope="session")
-def plant():
-    """Nominal plant with the noise floor of its own trials."""
-    return plant_of_trials(1)
-
-
-def plant_of_trials(cycles):
-    nominal = read_plant()
-    return with_noise_floor(nominal, make_trials(nominal, 1, cycles=cycles).trials)
-
-
-def hiding(plant, cycles):
-    """Function (parameter=change, …) -> trials of two payloads of a plant with these changes.
-
-    Their seed is never that of the noise floor.
-    """
-
-    @functools.cache
-    def hide(**strengths):
-        full = plant.with_effects(*candidate_effects(plant))
-        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
-        return make_trials(full.with_values(values), 7, (0.0, 1.0), cycles=cycles)
-
-    return hide
-
-
-@pytest.fixture(scope="session")
 def trials_of():
     """Function (plant, seed, payloads, repeats) -> trials as that plant makes them."""
     return make_trials
 
 
 @pytest.fixture(scope="session")
-def hidden(plant):
-    """Function of `hiding` for the plant."""
-    return hiding(plant, 1)
+def plant():
+    """Nominal plant with the noise floor and the provenance of its own trials."""
+    trials = make_trials(read_plant(), 1).trials
+    plant = with_noise_floor(read_plant(), trials)
+    fitted = plant.provenance.fitted_with(trials)
+    return replace(
+        plant, provenance=msgspec.structs.replace(plant.provenance, fitted_trials=fitted)
+    )
 
 
 @pytest.fixture(scope="session")
-def two_cycles():
-    """Plant and function of `hiding` with trials of two cycles."""
-    plant = plant_of_trials(2)
-    return plant, hiding(plant, 2)
+def hidden(plant):
+    """Function (parameter=change, …) -> trials of two payloads of the plant with these changes.
+
+    Their seed is not that of the noise floor.
+    """
+
+    @functools.cache
+    def hide(**strengths):
+        full = plant.with_effects(*candidate_effects(plant))
+        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
+        return make_trials(full.with_values(values), 7, (0.0, 1.0))
+
+    return hide
 
 
 @pytest.fixture(scope="session")
 def diagnosed():
-    """Function (plant, trials, settings) -> diagnosis over the effects of `CONSIDERED`.
+    """Function (plant, trials, effects, …) -> diagnosis over these effects alone.
 
     With `dead_zones` over those of `DEAD_ZONES` too, whose search takes as long as all others.
     """
 
-    def run(plant, trials, settings=DEFAULT_SETTINGS, dead_zones=False):
-        considered = CONSIDERED + DEAD_ZONES * dead_zones
-        others = [e for e in candidate_effects(plant) if e not in considered]
+    def run(plant, trials, effects=CONSIDERED, settings=DEFAULT_SETTINGS, dead_zones=False):
+        effects = (*effects, *DEAD_ZONES) if dead_zones else effects
+        others = [e for e in candidate_effects(plant) if e not in effects]
         return diagnose(plant, trials, leave_out=others, settings=settings)
 
     return run
@@ -135,12 +124,5 @@ def diagnosed():
 
 @pytest.fixture(scope="session")
 def late(plant, hidden, diagnosed):
-    """Diagnosis of 20 ms of dead time, and its trials."""
-    trials = hidden(dead_time_1_s=0.02)
-    return diagnosed(plant, trials), trials
-
-
-@pytest.fixture(scope="session")
-def variation():
-    """Standard deviations of what differs between the trials of `make_trials`."""
-    return VARIATION
+    """Diagnosis of 20 ms of dead time."""
+    return diagnosed(plant, hidden(dead_time_1_s=0.02))

@@ -76,14 +76,6 @@ def test_a_path_out_of_reach_names_the_nearest_place(plant, twin):
         plan_path(path, PlanRequest(plant, 1, PERIOD_S, LIMITS, (0.0,)))
 
 
-def test_the_nearest_place_of_two_joints_is_as_near_as_any_within_the_limits(plant):
-    twin, wanted = TipTwin(plant, 2, PERIOD_S), np.array([0.4, 0.9])
-    nearest = nearest_rest_m(twin, wanted, 1.0, LIMITS)
-    for first in np.linspace(0.0, 0.6, 5):
-        other = twin.resting_tip_m(np.array([first, 0.6]), 1.0)
-        assert np.linalg.norm(nearest - wanted) < np.linalg.norm(other - wanted) + 2e-3
-
-
 def test_a_path_whose_ways_are_out_of_reach_must_begin_slower(plant):
     """The way to a path that begins at 5 m/s takes a run-up beyond the reach of the arm."""
     tip = 0.4 * np.sin(12.0 * PERIOD_S * np.arange(60))[:, None]

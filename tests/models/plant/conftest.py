@@ -26,9 +26,8 @@ class Bench:
 
     def plant(self, *effects):
         nominal = read_plant()
-        own = {q for q in nominal.parameters if nominal.parameters[q].role != "effect"}
-        kept = {name: nominal.parameters[name] for name in own}
-        return replace(nominal, effects=(), parameters=kept).with_effects(*effects)
+        parameters = {n: q for n, q in nominal.parameters.items() if q.role != "effect"}
+        return replace(nominal, effects=(), parameters=parameters).with_effects(*effects)
 
     @functools.cache  # noqa: B019 (one bench per session)
     def compiled(self, effects, dof=1, kind="twin"):

@@ -1,10 +1,8 @@
 """Twin and driven link as composed: sampled current, states at rest, a driven link is the twin."""
 
-import casadi as ca
 import numpy as np
 import pytest
 
-from models.plant.compose import SMALLEST_STATE
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
@@ -18,13 +16,11 @@ OPTIONS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "interpolation, phase, options", [(1.0, 0.5, {}), (0.0, 1.0, {}), (0.0, 0.5, OPTIONS)]
-)
+@pytest.mark.parametrize("interpolation, phase, options", [(1.0, 0.5, {}), (0.0, 0.5, OPTIONS)])
 def test_the_current_of_a_motion_has_the_inertia_of_rotor_and_link(interpolation, phase, options):
     """Inertia and weight are in phase with the angle: 10 N·m/rad of them without payload.
 
-    A rotor that is left out would be missed by J ω² = 1.8 N·m/rad, and taken for a link that is
+    A rotor that is ignored would be missed by J ω² = 1.8 N·m/rad, and taken for a link that is
     0.3 kg heavier.
     """
     plant = read_plant().with_values(
@@ -70,8 +66,7 @@ def step(size_rad, count=60):
 
 
 @pytest.mark.parametrize(
-    ("size_rad", "step_s", "limit_a"),
-    [(0.3, 0.001, 2.3), (1.0, 0.017, LIMIT_A), (-1.0, 0.001, 2.3)],
+    ("size_rad", "step_s", "limit_a"), [(1.0, 0.017, LIMIT_A), (-1.0, 0.001, 2.3)]
 )
 def test_no_sample_exceeds_the_limit(twin, size_rad, step_s, limit_a):
     current_a = run(twin, step(size_rad), step_s, current_limit_1_a=limit_a)["current_1_a"]
@@ -103,16 +98,6 @@ def _is_subnormal(x):
     return (x != 0) & (np.abs(x) < np.finfo(np.float64).tiny)
 
 
-@pytest.mark.parametrize(("dof", "unit"), [(1, "twin"), (2, "driven"), (1, "observer")])
-def test_the_end_of_a_step_sets_every_tiny_state_to_zero(dof, unit):
-    model = read_plant().step_model(dof, unit)
-    p, u = model.parameter_values(), np.zeros(len(model.inputs))
-    for size in (1e-31, 5e-324):
-        x = np.full(len(model.states), size)
-        after = np.asarray(model.finish(x, u, p, STEP_S)).ravel()
-        assert not after[np.abs(after) < SMALLEST_STATE].any()
-
-
 def test_the_observer_at_rest_passes_no_subnormal_number():
     """Half a second of motion, then 6 s of zeros: after 5 s the filter's states were subnormal."""
     model = read_plant().step_model(1, "observer")
@@ -138,13 +123,3 @@ def test_the_end_of_a_step_changes_no_ordinary_state_and_hides_no_nan():
     np.testing.assert_array_equal(after, np.asarray(model.smooth_finish(x, u, p, STEP_S)).ravel())
     x[names(model.states).index("joint_rate_1_rad_s")] = np.nan
     assert np.isnan(np.asarray(model.finish(x, u, p, STEP_S))).any()
-
-
-def test_a_state_of_zero_keeps_its_derivative():
-    """A plant may be fitted from an effect of strength zero, whose states are all zero."""
-    model = read_plant().step_model(1, "driven")
-    x = ca.SX.sym("x", len(model.states))
-    others = [np.zeros(len(model.inputs)), model.parameter_values(), STEP_S]
-    slope = ca.Function("slope", [x], [ca.jacobian(model.smooth_finish(x, *others), x)])
-    bend = names(model.states).index("root_bend_1_rad")
-    assert np.asarray(slope(np.zeros(len(model.states))))[bend, bend] == 1.0

@@ -31,7 +31,8 @@ def test_a_written_plant_reads_back_the_same(tmp_path, suffix):
     path = tmp_path / f"plant{suffix}"
     plant.write(path)
     again = read_plant(path)
-    assert again == plant and again.sha256() == plant.sha256()
+    assert again == plant
+    assert again.sha256() == plant.sha256() != read_plant().sha256()
 
 
 def test_a_written_plant_states_value_unit_bounds_and_source_of_everything(tmp_path):
@@ -58,9 +59,8 @@ def test_a_file_states_only_what_differs_from_the_parts(tmp_path):
     assert {name: q for name, q in changed.items() if q != usual[name]} == expected
 
 
-@pytest.mark.parametrize("dof", [1, 2])
-def test_units_have_the_contracts_inputs_and_outputs(dof):
-    plant, joints = read_plant(), range(1, dof + 1)
+def test_units_have_the_contracts_inputs_and_outputs():
+    plant, dof, joints = read_plant(), 2, (1, 2)
     tip = ["tip_x_m", "tip_y_m", "tip_z_m"]
     angles, currents = [f"angle_{j}_rad" for j in joints], [f"current_{j}_a" for j in joints]
     twin, observer = plant.step_model(dof, "twin"), plant.step_model(dof, "observer")
@@ -68,16 +68,11 @@ def test_units_have_the_contracts_inputs_and_outputs(dof):
     assert names(twin.outputs) == [*angles, *currents, "di", *tip]
     assert names(observer.inputs) == [*angles, *currents]
     assert names(observer.outputs)[:5] == ["di", *tip, "payload_kg"]
-    of_the_estimate = (
-        "bend_{}_rad",
-        "bend_rate_{}_rad_s",
-        "joint_rate_{}_rad_s",
-        "innovation_{}_a",
-    )
-    assert set(names(observer.outputs)[5:]) == {
-        *(name.format(j) for j in joints for name in of_the_estimate),
-        *(f"tip_{axis}_deviation_m" for axis in "xyz"),
-    }
+    of_the_estimate = {f"tip_{axis}_deviation_m" for axis in "xyz"}
+    for j in joints:
+        of_the_estimate |= {f"bend_{j}_rad", f"bend_rate_{j}_rad_s"}
+        of_the_estimate |= {f"joint_rate_{j}_rad_s", f"innovation_{j}_a"}
+    assert set(names(observer.outputs)[5:]) == of_the_estimate
     every = (*twin.inputs, *twin.outputs, *observer.inputs, *observer.outputs)
     assert all((unit_of(v.name) or "1") == v.unit for v in every)
 
@@ -105,26 +100,18 @@ def put(*keys_and_value):
     ("change", "message"),
     [
         (put("drive", "kind", "hydraulic"), "'hydraulic' is no drive; choose from cascade"),
-        (put("load", "kind", "rope"), "'rope' is no load; choose from link"),
         (put("effects", [{"name": "magic"}]), "'magic' is no effect"),
         (put("schema", 7), "schema version 7"),
         (put("parameters", "mass_of_link_kg", 1.0), "'mass_of_link_kg' belongs to no part"),
         (put("parameters", "link_mass_kg", 90.0), "link_mass_kg is 90 kg, outside 0.5 to 2"),
         (put("parameters", "link_mass_kg", "unit", "g"), "is given in 'g'; convert it to 'kg'"),
-        (put("parameters", "link_mass_kg", "value", "heavy"), "Expected `float`"),
         (put("colour", "blue"), "unknown field `colour`"),
         (put("effects", 2 * [{"name": "backlash"}]), "effect backlash stands twice; remove one"),
         (put("parameters", "link_mass_kg", "bounds", [3, 0.3]), "link_mass_kg are [3, 0.3], the l"),
         (put("parameters", "link_mass_kg", "bounds", [0, float("inf")]), "0 and inf, not finite"),
         (put("parameters", "link_mass_kg", "prior_deviation", -0.1), "link_mass_kg is -0.1; give"),
-        (
-            put("parameters", "link_mass_kg", "error", float("nan")),
-            "error of parameter link_mass_kg",
-        ),
         (put("parameters", "link_mass_kg", "value", float("nan")), "link_mass_kg is not a finite"),
         (put("provenance", {"fitted_trials": [{"name": "a"}]}), "missing required field `sha256`"),
-        (put("provenance", {"parents": "ab"}), "unknown field `parents`"),
-        (put("provenance", "ab"), "Expected `object`"),
     ],
 )
 def test_a_wrong_document_is_refused_by_file_and_field(tmp_path, change, message):

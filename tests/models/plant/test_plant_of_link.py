@@ -84,18 +84,6 @@ def test_the_index_follows_the_places_of_the_markers(plant_of):
     assert half == pytest.approx(whole / 2, rel=1e-6) and whole > 1e-4
 
 
-@pytest.mark.parametrize(
-    ("gravity", "words"),
-    [
-        (LinkGravity(mounting="hanging"), "gravity, along z"),
-        (LinkGravity(direction=(0.0, 3.0, -4.0)), "gravity, along (0, 0.6, -0.8)"),
-    ],
-)
-def test_gravity_is_described_as_the_link_is_mounted(plant_of, gravity, words):
-    model = plant_of(msgspec.structs.replace(SMALL, gravity=gravity)).step_model(1, "twin")
-    assert [v.description for v in model.parameters if v.name == "gravity_m_s2"] == [words]
-
-
 # --- payload: up to 3 kg in the study, half as much again as another link carries -----------------
 
 

@@ -10,7 +10,6 @@ import pytest
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import PERIOD_S
-from models.gap.residuals.fit_parameters import plant_with_every_effect
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation import runner
 from models.plant.simulation.model_c import write_run_c
@@ -29,7 +28,7 @@ from models.trials.trial import Trial, TrialMeta
 STEP_S = 0.017
 
 
-UNITS = pytest.mark.parametrize(("dof", "unit"), [(2, "twin"), (2, "driven"), (1, "observer")])
+UNITS = pytest.mark.parametrize(("dof", "unit"), [(1, "twin"), (2, "driven"), (1, "observer")])
 
 
 @UNITS
@@ -62,27 +61,11 @@ def test_the_step_length_does_not_change_the_motion(bench):
     assert np.allclose(coarse, fine[::4], rtol=0, atol=2e-3)
 
 
-def test_a_trial_without_an_input_of_the_plant_is_refused(synthetic):
-    trial = synthetic(read_plant(), payload_kg=1.0, count=30)
-    del trial.columns["goal_1_rad"]
-    with pytest.raises(InputError, match="column goal_1_rad is missing"):
-        model_inputs(read_plant().step_model(1, "twin"), trial)
-
-
 CHOSEN = {
     "twin": ["velocity_gain_1_a_s_rad", "root_stiffness_1_nm_rad", "creep_time_s"],
     "driven": ["link_mass_kg", "edge_gain", "hysteresis_yield_rad", "coulomb_friction_1_nm"],
     "observer": ["root_stiffness_1_nm_rad", "edge_gain"],
 }
-
-
-def test_constant_terms_are_computed_once_per_run(tmp_path):
-    model = plant_with_every_effect(read_plant()).step_model(1, "twin")
-    write_run_c(model, [], tmp_path)
-    parts = (tmp_path / "run_step.c").read_text().split("/* run_")
-    code = {part.split(":")[0]: part for part in parts[1:]}
-    # The peak of the friction near standstill is a power of parameters.
-    assert "pow(" in code["constants"] and "pow(" not in code["rate"]
 
 
 @pytest.mark.slow
@@ -144,16 +127,6 @@ def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
     assert (np.abs(slopes - expected) <= 1e-10 * scale).all()
 
 
-@pytest.mark.slow
-def test_the_width_of_the_vectors_changes_no_bit(bench, monkeypatch):
-    model = read_plant().step_model(1, "twin")
-    u, runs = bench.inputs(model, 40), []
-    for flags in runner._vector_flags(), ():
-        monkeypatch.setattr(runner, "_vector_flags", lambda flags=flags: flags)
-        runs.append(CompiledModel(model, CHOSEN["twin"]).derivatives(u, STEP_S))
-    assert np.array_equal(runs[0][0], runs[1][0]) and np.array_equal(runs[0][1], runs[1][1])
-
-
 @pytest.mark.parametrize("wrt", [[], ["current_bias_1_a"]])
 def test_parameters_that_move_no_state_need_no_slope(bench, wrt):
     model = bench.plant("current_bias").step_model(1, "twin")
@@ -194,19 +167,25 @@ def test_arrays_and_a_trial_give_the_same_run():
     assert all(len(column) == len(GOAL_RAD) for column in run.values())
 
 
-WRONG = (
-    ({"payload_kg": 1.0}, "goal_1_rad: is missing"),
-    ({"goal_1_rad": GOAL_RAD, "payload_kg": 0.0, "angle_1_rad": 0.0}, "is no input"),
-    ({"goal_1_rad": GOAL_RAD, "payload_kg": np.zeros(3)}, "payload_kg: has the shape"),
-    ({"goal_1_rad": 0.1, "payload_kg": 0.0}, "give two rows or more"),
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        ({"payload_kg": 1.0}, "goal_1_rad: is missing"),
+        ({"goal_1_rad": GOAL_RAD, "payload_kg": 0.0, "angle_1_rad": 0.0}, "is no input"),
+        ({"goal_1_rad": GOAL_RAD, "payload_kg": np.zeros(3)}, "payload_kg: has the shape"),
+        ({"goal_1_rad": 0.1, "payload_kg": 0.0}, "give two rows or more"),
+    ],
 )
+def test_inputs_that_do_not_fit_are_refused(inputs, message):
+    with pytest.raises(InputError, match=message):
+        simulate_plant(read_plant(), inputs)
 
 
-def test_inputs_that_do_not_fit_are_refused():
-    plant = read_plant()
-    for inputs, message in WRONG:
-        with pytest.raises(InputError, match=message):
-            simulate_plant(plant, inputs)
+def test_a_trial_without_an_input_of_the_plant_is_refused(synthetic):
+    trial = synthetic(read_plant(), payload_kg=1.0, count=30)
+    del trial.columns["goal_1_rad"]
+    with pytest.raises(InputError, match="column goal_1_rad is missing"):
+        model_inputs(read_plant().step_model(1, "twin"), trial)
 
 
 EXAMPLES = NOMINAL.parent / "examples"

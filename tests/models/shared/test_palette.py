@@ -8,9 +8,7 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from models.shared import palette
-from models.shared.drawing import Drawing
 from models.shared.pages import STYLE, stylesheet
-from models.trials.checks.page import Curve, chart
 
 # Simulation of colour blindness in linear RGB at full severity: Machado, Oliveira and Fernandes,
 # "A Physiologically-based Model for Simulation of Color Vision Deficiency", 2009, table 1.
@@ -85,18 +83,3 @@ def test_the_style_sheet_takes_its_colours_from_the_palette():
     assert set(re.findall(r"var\(--([\w-]+)\)", text)) <= defined
     figure = stylesheet().split(".figure {", 1)[1].split("}", 1)[0]
     assert f"--paper: {palette.PAPER};" in figure, "drawings are made for light paper"
-
-
-def test_text_of_drawings_stands_out_from_the_plate_behind_them():
-    with Drawing() as (drawing, ax):
-        ax.plot([0, 1], [0, 1], label="line")
-        ax.set(xlabel="x", ylabel="y", title="t")
-        ax.legend()
-    line = np.arange(3.0)
-    for svg in (drawing.panel("a", "b").svg, chart([Curve(line, line, palette.INK)], "x", "y")):
-        default = re.search(r"<svg[^>]* fill=\"(#\w+)\"", svg)
-        texts = re.findall(r"<text\b([^>]*)>", svg)
-        assert texts
-        for style in texts:  # the default is the drawing's fill, or black
-            colour = re.search(r"fill[:=]\s*\"?(#\w+)", style) or default
-            assert contrast(colour[1] if colour else "#000000", palette.PAPER) >= TEXT

