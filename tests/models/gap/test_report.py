@@ -50,6 +50,7 @@ from models.gap.report.gap_words import (
     next_step_in_words,
     strength_of,
 )
+from models.gap.report.localisation_maps import localisation_maps
 from models.gap.report.separating_motion import NO_MOTION, separating_motion
 from models.gap.report.trial_notes import changed_conditions, notes_in_words
 from models.gap.residuals.localisation import motion_in_words
@@ -113,7 +114,7 @@ def test_console_and_page_begin_with_the_same_sentence(written, late):
     (path,) = out.glob("*.html")
     page = path.read_text()
     assert document.headline in late.summary() and "dead time" in document.headline
-    parts = [str(escape(document.headline)), "<svg", "What to check", "Next:", "Where the"]
+    parts = [str(escape(document.headline)), "What to check", "Next:", "<svg", "Where the"]
     places = [page.index(part) for part in parts]
     assert places == sorted(places)
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
@@ -421,3 +422,17 @@ def test_signals_are_ranked_by_their_largest_significant_gap_over_a_trial():
     ]
     assert largest_gaps(rows) == {"tip_x_m": 5.0, "di": 3.0}
     assert list(largest_gaps(rows[3:])) == ["current_1_a"]
+
+
+def test_a_map_shows_every_value_and_shades_the_significant_ones():
+    regions = [
+        MappedRegion("tip_x_m", "phase", "1/8", 1.0, 0, 0.5, False),
+        MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
+        MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
+    ]
+    _, table = localisation_maps(regions, 0.05)
+    assert table.title == "Phase of the cycle" and list(table.header) == ["", "1/8", "2/8"]
+    (angle, missing), (tip, most) = (row[1:] for row in table.rows)
+    assert [cell.text for cell in (angle, missing, tip, most)] == ["3.2", "", "1.0", "12"]
+    assert tip.shade is None and missing.shade is None
+    assert 0.0 < angle.shade < most.shade == 1.0
