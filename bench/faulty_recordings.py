@@ -94,9 +94,9 @@ def diagnose_faulty(
     """Diagnose the logs of some position gains with a fault, by a plant of the others."""
     known = read_plant(plant)
     change, effects = FAULTS[fault]
-    own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
-    diagnosis = diagnose(known, TrialSet(tuple(own)))
-    alike = {e for own in diagnosis.look_alikes.values() for fit in own for e in fit.candidates}
+    changed = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
+    diagnosis = diagnose(known, TrialSet(tuple(changed)))
+    alike = {e for sets in diagnosis.look_alikes.values() for fit in sets for e in fit.candidates}
     alike -= set(diagnosis.named)
     right = bool(effects & set(diagnosis.named)) if effects else not diagnosis.named
     return {

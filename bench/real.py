@@ -147,8 +147,8 @@ def run_system(name: str, data: Path, out: Path) -> dict[str, Any]:
     system, work = SYSTEMS[name], out / name
     work.mkdir(parents=True, exist_ok=True)
     trials = import_recordings(system, data, work / "trials")
-    found, rounds = name_and_identify(system, work / "trials", work)
-    nominal, plant = read_plant(EXAMPLES / f"{name}.toml"), read_plant(found)
+    identified, rounds = name_and_identify(system, work / "trials", work)
+    nominal, plant = read_plant(EXAMPLES / f"{name}.toml"), read_plant(identified)
     progress = Progress(name, 0)
     step = lambda text: progress.step(text, further=1)  # noqa: E731
     named = nominal.with_effects(*(e for e in plant.effects if e not in nominal.effects))

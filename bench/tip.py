@@ -189,8 +189,8 @@ def measure(bundle: Path, motions: Sequence[str], wrong: bool, rig: str) -> dict
         if motion == "decay":
             runs.append(run_free_decay(dof, rig))
         elif motion == "stopped":
-            own = run_behind_servos(loaded, "multisine", STOPPED_S, rig=rig)
-            runs.append(replace(own, name="stopped"))
+            stopped = run_behind_servos(loaded, "multisine", STOPPED_S, rig=rig)
+            runs.append(replace(stopped, name="stopped"))
         else:
             runs.append(run_behind_servos(loaded, motion, SECONDS[motion], rig=rig))
         progress.step(motion)

@@ -146,8 +146,8 @@ def read_config(path: Path | str) -> RobotConfig:
         motion = config.motion.with_file(path.parent / config.motion.file)
         config = msgspec.structs.replace(config, motion=motion)
     if config.link:
-        models, given = [s.model for s in config.servos], document.get("limits", {})
-        bounded = limits_with_link(path, config.link, models, config.limits, given)
+        models, limits_table = [s.model for s in config.servos], document.get("limits", {})
+        bounded = limits_with_link(path, config.link, models, config.limits, limits_table)
         config = msgspec.structs.replace(config, limits=bounded)
     check_config(config, path)
     return config

@@ -37,8 +37,8 @@ class ServoGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     velocity_i: int | None = None
 
     def registers(self) -> dict[Register, int]:
-        given = {register: getattr(self, name) for name, register in GAINS.items()}
-        return {register: raw for register, raw in given.items() if raw is not None}
+        values = {register: getattr(self, name) for name, register in GAINS.items()}
+        return {register: raw for register, raw in values.items() if raw is not None}
 
 
 GAINS: Final = {

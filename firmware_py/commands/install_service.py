@@ -156,11 +156,11 @@ def service_file(
             "--user", f"{user!r} is no user name", "give letters, digits, '_' and '-', like robot"
         )
     processors = processors or frozenset(range(os.cpu_count() or 1))
-    own = config.real_time.cpu
-    others = processors - {own}
+    loop_cpu = config.real_time.cpu
+    others = processors - {loop_cpu}
     affinity_is = (
-        f"The recorder and every other thread; the loop's own goes to processor {own} by itself."
-        if own in processors and others
+        f"The recorder and every other thread; the loop's own goes to processor {loop_cpu} itself."
+        if loop_cpu in processors and others
         else "All there are; real_time.cpu in the configuration keeps one for the loop alone."
     )
     socket, port = "", config.bus.port

@@ -261,9 +261,9 @@ def _unlike(config: RobotConfig, bundle: ModelBundle) -> Iterator[str]:
     if facts is None or trained is None:
         return
     for servo in config.servos:
-        own = PRESETS[servo.model]
-        if own != trained:
-            ratio = own.torque_constant_nm_a / trained.torque_constant_nm_a
+        preset = PRESETS[servo.model]
+        if preset != trained:
+            ratio = preset.torque_constant_nm_a / trained.torque_constant_nm_a
             yield (
                 f"servo {servo.id} is a {servo.model} with {ratio:.2g} times the torque per ampere "
                 f"of the {facts.servo} in the bundle's plant: train a bundle for it, or expect "
@@ -300,8 +300,8 @@ def _telemetry(
     if args.goals is not None:
         motion = OUTSIDE
     name = f"{started:%Y%m%dT%H%M%SZ}_{motion}"
-    own = args.log or _free_log(args.config.parent / config.logs, name)
-    log = own if config.record else None
+    log_file = args.log or _free_log(args.config.parent / config.logs, name)
+    log = log_file if config.record else None
     live = config.live if args.live else None
     metadata = log_metadata(config, bundle, started, settings) | facts
     if plan is not None:

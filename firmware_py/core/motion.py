@@ -116,7 +116,7 @@ def read_motion_document(path: Path | str) -> MotionDocument:
 def check_motion_document(document: MotionDocument, where: Path | str) -> None:
     """Refuse values of a series that are out of range or do not fit together."""
     count = len(document.harmonics)
-    every = [c for j in document.joints for c in (*j.sine_rad, *j.cosine_rad)]
+    coefficients = [c for j in document.joints for c in (*j.sine_rad, *j.cosine_rad)]
     payload_kg = 0.0 if document.payload_kg is None else document.payload_kg
     wrong = ""
     if len(document.joints) not in (1, 2):
@@ -129,7 +129,7 @@ def check_motion_document(document: MotionDocument, where: Path | str) -> None:
         wrong = f"has a harmonic above {HIGHEST_FREQUENCY_HZ:g} Hz"
     elif any(len(s) != count for j in document.joints for s in (j.sine_rad, j.cosine_rad)):
         wrong = f"needs {count} coefficients in each list of a joint, one per harmonic"
-    elif not np.isfinite(every).all():
+    elif not np.isfinite(coefficients).all():
         wrong = "has a coefficient that is not finite"
     elif not 0 <= payload_kg <= 100:
         wrong = f"has a payload of {payload_kg:g} kg, outside 0 to 100 kg"

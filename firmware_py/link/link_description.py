@@ -100,12 +100,12 @@ class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     @property
     def whole(self) -> ServoPreset:
         """Preset of the model with the values of the table."""
-        given = {
+        values = {
             f.name: value
             for f in msgspec.structs.fields(ServoPreset)
             if (value := getattr(self, f.name)) is not None
         }
-        return msgspec.structs.replace(model_named(self.model).preset, **given)
+        return msgspec.structs.replace(model_named(self.model).preset, **values)
 
 
 class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True,
@@ -285,10 +285,10 @@ def link_toml(link: LinkDescription, mass_kg: float, tip_mass_kg: float) -> str:
         "# A link: what trial, plant, rig and robot.toml share (docs/plant/link.md). SI units.",
         *(_row(*row) for row in rows),
         *(
-            _row(key, given, f"{what}, weighed")
-            if given is not None
+            _row(key, stated, f"{what}, weighed")
+            if stated is not None
             else "# " + _row(key, float(f"{estimated:.3g}"), f"{what}: estimated; weigh it")
-            for key, given, estimated, what in weighed
+            for key, stated, estimated, what in weighed
         ),
         "",
         f"# {layout.rows} rows of {layout.corners}; the last row is at the tip.",

@@ -185,12 +185,12 @@ BOX_MARGIN: Final = 1.2
 
 
 def limits_with_link(
-    where: Path, link_file: str, models: Sequence[str], limits: Limits, given: Collection[str]
+    where: Path, link_file: str, models: Sequence[str], limits: Limits, stated: Collection[str]
 ) -> Limits:
-    """Return the limits of a configuration that names a link; `given` has its keys of [limits]."""
+    """Return the limits of a configuration that names a link; `stated` has its keys of [limits]."""
     link = read_link(where.parent / link_file)
     refuse_other_servos(link, models, where)
-    return limits_of_link(link, limits, given)
+    return limits_of_link(link, limits, stated)
 
 
 def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Path | str) -> None:
@@ -208,7 +208,7 @@ def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Pat
             )  # fmt: skip
 
 
-def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]) -> Limits:
+def limits_of_link(link: LinkDescription, limits: Limits, stated: Collection[str]) -> Limits:
     """Return limits in which the link sets the tip's box, current and rate that are not given.
 
     Current and rate are only lowered, to the limits of the servo.
@@ -221,5 +221,5 @@ def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]
         "rate_rad_s": min(limits.rate_rad_s, link.preset.speed_limit_rad_s),
     }
     return msgspec.structs.replace(
-        limits, **{key: value for key, value in of_link.items() if key not in given}
+        limits, **{key: value for key, value in of_link.items() if key not in stated}
     )

@@ -192,8 +192,8 @@ def read_build(*directories: Path) -> BuildInputs:
 def _files(directories: Sequence[Path], pattern: str) -> list[Path]:
     """Files by their pattern, which may name a subdirectory: then the directory itself counts."""
     patterns = {pattern, pattern.removeprefix("*/")}
-    every = {path for d in directories for one in patterns for path in d.glob(one)}
-    return sorted(path for path in every if path.is_file())
+    paths = {path for d in directories for one in patterns for path in d.glob(one)}
+    return sorted(path for path in paths if path.is_file())
 
 
 def _studies(directories: Sequence[Path]) -> tuple[dict[str, StudyDocument], list[str]]:

@@ -97,8 +97,8 @@ def _lead(inputs: BuildInputs) -> str:
         )
     timed = [loop.timing for loop in inputs.loops if loop.in_real_time]
     if timed:
-        own, slots = sum(t.own_misses for t in timed), sum(t.slots for t in timed)
-        sentences.append(f"The loop itself missed {own or 'none'} of {slots} deadlines.")
+        own_misses, slots = sum(t.own_misses for t in timed), sum(t.slots for t in timed)
+        sentences.append(f"The loop itself missed {own_misses or 'none'} of {slots} deadlines.")
     return " ".join(sentences)
 
 

@@ -107,8 +107,8 @@ def _error_table(loops: Sequence[LoopRun]) -> Table:
 def distance_figure(loops: Sequence[LoopRun]) -> Figure:
     """Distance of the predicted and of a rigid link's tip from the true one, over each run."""
     distances_mm = [LENGTH.shown(loop.predicted_off_m()) for loop in loops]
-    every = np.concatenate([d[np.isfinite(d)] for d in distances_mm])
-    shown = [max(LEAST_MM, float(every.min())), max(100.0, float(every.max()))]
+    all_mm = np.concatenate([d[np.isfinite(d)] for d in distances_mm])
+    shown = [max(LEAST_MM, float(all_mm.min())), max(100.0, float(all_mm.max()))]
     panels = [
         _distance(loop, distance_mm, shown)
         for loop, distance_mm in zip(loops, distances_mm, strict=True)
@@ -217,20 +217,20 @@ def timing_parts(loops: Sequence[LoopRun]) -> list[Part]:
 
 def _timing_table(loops: Sequence[LoopRun]) -> Table:
     met = {Verdict.PASS: True, Verdict.FAIL: False}
-    every = [loop.timing for loop in loops]
-    own = [TICK_TIME.text(timing.own_cost.p99_ns, 2) for timing in every]
-    wake = [TICK_TIME.text(timing.lateness.p99_ns, 2) for timing in every]
-    bound = [FRACTION.text(timing.own_miss_rate_upper_bound_95, 2) for timing in every]
+    timings = [loop.timing for loop in loops]
+    own_p99 = [TICK_TIME.text(timing.own_cost.p99_ns, 2) for timing in timings]
+    wake = [TICK_TIME.text(timing.lateness.p99_ns, 2) for timing in timings]
+    bound = [FRACTION.text(timing.own_miss_rate_upper_bound_95, 2) for timing in timings]
     host = [
         f"{timing.host.preempted_ticks} ticks, {TICK_TIME.text(timing.host.max_ns, 1)} at most"
-        for timing in every
+        for timing in timings
     ]
     rows: list[list[Cell]] = [
-        ["verdict", *(TableCell(str(t.verdict), met.get(t.verdict)) for t in every)],
-        ["deadlines missed", *(f"{t.misses} of {t.slots}" for t in every)],
-        ["missed by the loop itself", *(str(t.own_misses) for t in every)],
+        ["verdict", *(TableCell(str(t.verdict), met.get(t.verdict)) for t in timings)],
+        ["deadlines missed", *(f"{t.misses} of {t.slots}" for t in timings)],
+        ["missed by the loop itself", *(str(t.own_misses) for t in timings)],
         ["the same at most, with 95\u00a0% confidence", *bound],
-        ["own cost of a tick, p99", *own],
+        ["own cost of a tick, p99", *own_p99],
         ["wake-up latency, p99", *wake],
         ["preempted by the host", *host],
     ]

@@ -226,7 +226,7 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
         period_s=options.period_s,
         payload_kg=options.payload_kg if options.payload_known else None,
         motion=options.motion,
-        limits=limits if link == STUDY_LINK else limits_of_link(link, limits, given=()),
+        limits=limits if link == STUDY_LINK else limits_of_link(link, limits, stated=()),
         feedback=TrustOptions(use=not options.open_loop),
         real_time=RealTimeOptions(cpu=cpu),
     )

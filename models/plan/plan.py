@@ -223,7 +223,7 @@ def plan(
 def usual_limits(plant: Plant) -> Limits:
     """Limits of a robot without `[limits]`; they hold for servos without a bus watchdog as well."""
     limits = msgspec.structs.replace(Limits(), rate_rad_s=UNWATCHED_RATE_RAD_S)
-    return limits_of_link(plant.link, limits, given=()) if plant.link else limits
+    return limits_of_link(plant.link, limits, stated=()) if plant.link else limits
 
 
 def _desired(

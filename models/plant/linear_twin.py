@@ -166,12 +166,12 @@ def modes(system: control.StateSpace) -> list[LinearMode]:
     shares = conjugates * part / np.maximum(overlap * size, 1e-12)
     alive = np.abs(values) > 1e-6
     rates = np.log(values[alive]) / system.dt
-    every = [
+    all_modes = [
         LinearMode(float(abs(rate)), float(-rate.real / abs(rate)), tuple(part.tolist()))
         for rate, part in zip(rates, shares.T[alive], strict=True)
         if rate.imag >= 0 and 0.05 <= abs(rate) < np.pi / system.dt  # slower states do not move
     ]
-    return sorted(every, key=lambda mode: mode.frequency_rad_s)
+    return sorted(all_modes, key=lambda mode: mode.frequency_rad_s)
 
 
 def link_modes(system: control.StateSpace) -> list[LinearMode]:

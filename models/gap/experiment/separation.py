@@ -109,8 +109,8 @@ class SeparationModel:
         self.estimator, self.floor = fit.estimator, fit.measured.floor
         self._own_error = _own_error_fraction(self.floor, trials)
         # A planned trial shares nuisance and effects with the others, and has its own variation.
-        own = nuisance_and_variation(plant, trials[:1], same_link=same_link)
-        self.planned = own + effects
+        nuisance = nuisance_and_variation(plant, trials[:1], same_link=same_link)
+        self.planned = nuisance + effects
         self._shared = np.array([q.trial is None for q in self.planned])
         self._prior = np.where(self._shared, 0.0, prior_precision(self.planned))
         self._free = [
@@ -161,9 +161,9 @@ class SeparationModel:
         hz, outputs = group_frequencies_hz(group, run.trials), run.outputs(truth)
         wider = {}
         for signal, power in missed.items():
-            own = smoothed(run.spectrum(signal, outputs[signal]) ** 2)
-            own *= self._own_error.get(signal, 0.0)
-            wider[signal] = power + np.interp(floor.frequency_hz, hz, own)
+            model_error = smoothed(run.spectrum(signal, outputs[signal]) ** 2)
+            model_error *= self._own_error.get(signal, 0.0)
+            wider[signal] = power + np.interp(floor.frequency_hz, hz, model_error)
         return replace(floor, formulation={payload_kg: wider})
 
     def _refitted(

@@ -79,9 +79,9 @@ def _simulated(plant: Plant, trial: Trial) -> Trial:
 
 def _separations(diagnosis: Diagnosis, trial: Trial, alike: Sequence[LookAlike]) -> list[float]:
     """d′ that remains after each look-alike is fitted to a trial, to first order."""
-    every = diagnosis.nuisance.estimator.residuals.fit_parameters
-    common = [k for k, q in enumerate(every) if q.trial in (None, 0)]
-    residuals = Residuals(diagnosis.plant, [trial], [every[k] for k in common])
+    fit_parameters = diagnosis.nuisance.estimator.residuals.fit_parameters
+    common = [k for k, q in enumerate(fit_parameters) if q.trial in (None, 0)]
+    residuals = Residuals(diagnosis.plant, [trial], [fit_parameters[k] for k in common])
     estimator = GaussNewton(residuals, replace(diagnosis.floor, curves={}))
     result = []
     for other in alike:

@@ -83,7 +83,7 @@ def groups_in_words(keys: Iterable[str]) -> str:
     words = {key: motion_in_words(key) for key in keys}
     times = Counter(words.values())
     return "; ".join(
-        said + (_length(key) if times[said] > 1 else "") for key, said in words.items()
+        phrase + (_length(key) if times[phrase] > 1 else "") for key, phrase in words.items()
     )
 
 

@@ -155,7 +155,7 @@ class Residuals:
             group,
             lambda k: self._parameters(k, values),
             np.asarray(self._moved[:, wanted].any(axis=1)),
-            lambda k, own: self._slope_spectra(k, group[k], own, wanted),
+            lambda k, derivatives: self._slope_spectra(k, group[k], derivatives, wanted),
         )
         return [np.stack([slopes[k] for k in g.trials]) for g in self.groups]
 

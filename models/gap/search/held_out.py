@@ -283,10 +283,10 @@ def flattened(floor: NoiseFloor, groups: Sequence[TrialGroup], rows: Sequence[Ar
     """
     noise = {}
     for signal, spectrum in floor.noise.items():
-        own = [
+        signal_rows = [
             r[:, g.signals.index(signal)].ravel()
             for g, r in zip(groups, rows, strict=True)
             if signal in g.signals
         ]
-        noise[signal] = np.full_like(spectrum, np.mean(np.concatenate(own) ** 2))
+        noise[signal] = np.full_like(spectrum, np.mean(np.concatenate(signal_rows) ** 2))
     return replace(floor, noise=noise, formulation={})

@@ -124,8 +124,8 @@ class Backlash(Effect):
     search_start = MappingProxyType({MOUNT_FRACTION.name: 0.5})
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        every = super().parameters(scope)
-        return every if "tip" in scope.features else every[: -len(self.shared)]
+        parameters = super().parameters(scope)
+        return parameters if "tip" in scope.features else parameters[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
         mount = scope.p(MOUNT_FRACTION.name) if "tip" in scope.features else 0

@@ -56,8 +56,8 @@ class EncoderRipple(Effect):
     shared = (RATE_FRACTION,)
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        every = super().parameters(scope)
-        return every if "goal shape" in scope.features else every[: -len(self.shared)]
+        parameters = super().parameters(scope)
+        return parameters if "goal shape" in scope.features else parameters[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
         for j in scope.joints:
