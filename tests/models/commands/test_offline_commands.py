@@ -79,7 +79,7 @@ class FitStarted(Exception):
 def directory(toy_trials, tmp_path, monkeypatch):
     """Directory with a trial, a plant and a configuration; nothing is fitted."""
 
-    def fit(*_):
+    def fit(*_, **__):
         raise FitStarted
 
     monkeypatch.setattr("models.commands.identify.identify", fit)

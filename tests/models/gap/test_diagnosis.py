@@ -36,7 +36,7 @@ def test_without_a_hidden_effect_nothing_is_named(nothing):
 
 
 def test_a_dead_time_is_named_with_its_value_and_added(late):
-    assert late.named[0] == "dead_time" and late.verdict == "closed" and late.odd == ()
+    assert late.named[0] == "dead_time" and late.verdict == "closed" and late.outliers == ()
     q = late.improved.parameters["dead_time_1_s"]
     assert abs(q.value - 0.02) < max(4 * q.error, 5e-4)
     assert late.improved.provenance.parent_sha256 == late.plant.sha256()
