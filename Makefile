@@ -45,7 +45,7 @@ judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 
 help:
 	@echo "make demo       from trials to the report; 4 minutes, 1.2 GB for .venv the first time"
-	@echo "make study      the paper's study: five payloads, two phases, all predictors; 6 minutes"
+	@echo "make study      the paper's study: five payloads, two phases, all predictors; 4 minutes"
 	@echo "make gap-demo HIDE=$(HIDE)   hides an effect, finds it, improves plant and robot; 5 minutes more"
 	@echo "make tip-demo   leads the tip along a line and a circle; 5 minutes after the demo"
 	@echo "make sil        the robot's loop in real time for 10 s, with a timing verdict; 1 minute"
@@ -160,7 +160,7 @@ build/report.html: $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$
 STUDY := build/study
 
 study: | $(READY)
-	@echo "The paper's study on simulated trials: about 6 minutes on two idle cores."
+	@echo "The paper's study on simulated trials: about 4 minutes on two idle cores."
 	@$(BIN)/python -m bench.demo study
 	@echo
 	@echo "open $(CURDIR)/$(STUDY)/report.html"
