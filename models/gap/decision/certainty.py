@@ -7,7 +7,8 @@ missing, and that something outside of the catalogue is:
   where its own error is larger;
 - difference: by how much the strength of an effect differs between parts of the trials
   (`models.gap.search.strength_consistency`);
-- left: fraction of the gap's amplitude, beyond noise, that it leaves.
+- left: fraction of the gap's amplitude, beyond noise, that it leaves. What leaves nearly all of a
+  gap that is more than noise explains nothing, whatever its d′.
 
 Where nothing is missing, the plant's own error lets some effect reach a large d′ as well, on a link
 that changed up to 25. But as a stand-in it needs another strength in each part of the trials. The
@@ -36,12 +37,18 @@ LEAST_SEPARATION: Final = 1.0
 """d′ below which a smaller one proves no less: its standard deviation by noise alone."""
 
 
+NOTHING_EXPLAINED: Final = 0.95
+"""Fraction of a gap that is left above which nothing of it counts as explained. Right names on rigs
+for tuning left up to 0.89 of a gap that was more than noise."""
+
+
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Numbers of a fit that the probabilities follow from; see the module's docstring."""
 
     separation: float
     difference: float
     left: float
+    is_open: bool  # Whether more than noise is left
 
     @property
     def terms(self) -> list[float]:
@@ -81,6 +88,9 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         """Probabilities of the answers."""
         score = {name: float(np.dot(row, evidence.terms)) for name, row in self.answers.items()}
         weight = {name: np.exp(s - max(score.values())) for name, s in score.items()}
+        if evidence.is_open and evidence.left > NOTHING_EXPLAINED:
+            weight["outside"] += weight["catalogue"]
+            weight["catalogue"] = 0.0
         total = sum(weight.values())
         return Answers(**{name: float(w / total) for name, w in weight.items()})
 

@@ -81,7 +81,7 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         return float(np.hypot(least, equation_error * fit.separation))
 
     def probability(fit: SetFit) -> float:
-        return certainty.answers_for(evidence_of(search, fit, scale)).catalogue
+        return certainty.answers_for(evidence_of(search, fit, certainty, scale)).catalogue
 
     rounds = [search.beside(search.nothing)]
     grown = [search.settled(next(iter(rounds[0]), search.nothing))]
@@ -98,7 +98,7 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     probable = [fit for fit in grown if probability(fit) >= NAMED_PROBABILITY]
     best = (probable or grown)[-1]
     named = best if probable else search.nothing
-    evidence = evidence_of(search, best, scale)
+    evidence = evidence_of(search, best, certainty, scale)
     answers = certainty.answers_for(evidence)
     return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)
 
@@ -118,15 +118,19 @@ def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
             held_out, rounds = HeldOut(search.estimator), [(better,)]
         fit = better
     best = fit if fit.candidates else next(iter(rounds[0]), fit)
-    return Naming(fit, best, tuple(rounds), search, evidence_of(search, best), None)
+    return Naming(fit, best, tuple(rounds), search, evidence_of(search, best, certainty), None)
 
 
-def evidence_of(search: EffectSearch, fit: SetFit, scale: float = 1.0) -> Evidence:
+def evidence_of(
+    search: EffectSearch, fit: SetFit, certainty: Certainty, scale: float = 1.0
+) -> Evidence:
     """Numbers of a fit that its probability follows from; `scale` as in `Certainty.scale_for`."""
+    residual = search.estimator.mean_square(fit.point)
     return Evidence(
         separation=fit.separation / scale,
         difference=_difference(search, fit),
         left=search.nuisance.left_fraction(fit.point),
+        is_open=residual > certainty.residual_of_nothing,
     )
 
 

@@ -57,7 +57,7 @@ class DataSetRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     look_alikes: dict[str, tuple[tuple[str, ...], ...]] = {}
     best: tuple[str, ...] = ()  # Candidate with the largest d′ alone
     separation: float = 0.0  # d′ of it
-    evidence: Evidence = Evidence(0.0, 0.0, 1.0)
+    evidence: Evidence = Evidence(0.0, 0.0, 1.0, False)
     answers: Answers | None = None
     alone: dict[str, float] = {}  # d′ of each candidate alone
     residual_before: float = 0.0  # Mean squared, in noise floors, of the nuisance fit
@@ -178,7 +178,7 @@ def run_hidden_case(case: HiddenCase, plant: Plant) -> DataSetRecord:
         look_alikes=_look_alikes(diagnosis),
         best=best.candidates,
         separation=best.separation,
-        evidence=evidence_of(search, best),
+        evidence=evidence_of(search, best, read_certainty()),
         answers=diagnosis.answers,
         alone=search.screened | alone,
         residual_before=diagnosis.nuisance.mean_residual(search.nothing.point),
