@@ -54,7 +54,9 @@ OPTIONS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed, option", [(2, "profile"), (5, "feedforward")])
-def test_known_parameters_are_recovered(synthetic, seed, option):
+def test_known_parameters_are_recovered(synthetic, monkeypatch, seed, option):
+    # Synthetic markers have the right distances, but not the right places beside the tip.
+    monkeypatch.setattr("models.plant.identification.identify.refuse_unusable", lambda trials: None)
     true, rng = drawn(seed)
     of_servo = OPTIONS[option]
     true = true.with_values(of_servo | {n.replace("_1", "_2", 1): v for n, v in of_servo.items()})
