@@ -52,8 +52,7 @@ def main(out: Path) -> int:
     trials = dropstitch.read_trials(out / "trials")
     result = dropstitch.identify(dropstitch.read_plant(), trials)
     print(result)
-    training = dropstitch.train(trials, result.plant, out / "bundle", candidates=())
-    print(training.summary(), training.bundle(), sep="\n")
+    print(dropstitch.train(trials, result.plant, out / "bundle", candidates=()).summary())
     return 0
 
 

@@ -89,10 +89,10 @@ class Diagnosis:
     --------
     Ask a diagnosis for its words, its figure and the improved plant:
 
-    >>> found = dropstitch.diagnose(plant, trials)  # doctest: +SKIP
-    >>> print(found.summary())                      # doctest: +SKIP
-    >>> found.plot().savefig("gap.svg")             # doctest: +SKIP
-    >>> found.improved.write("better.json")         # doctest: +SKIP
+    >>> diagnosis = dropstitch.diagnose(plant, trials)  # doctest: +SKIP
+    >>> print(diagnosis.summary())                      # doctest: +SKIP
+    >>> diagnosis.plot().savefig("gap.svg")             # doctest: +SKIP
+    >>> diagnosis.improved.write("better.json")         # doctest: +SKIP
     """
 
     plant: Plant
@@ -206,8 +206,8 @@ def diagnose(
     >>> import dropstitch
     >>> plant = dropstitch.read_plant("build/plant.json")    # doctest: +SKIP
     >>> trials = dropstitch.read_trials("build/gap_trials")  # doctest: +SKIP
-    >>> found = dropstitch.diagnose(plant, trials)           # doctest: +SKIP
-    >>> found                                                # doctest: +SKIP
+    >>> diagnosis = dropstitch.diagnose(plant, trials)       # doctest: +SKIP
+    >>> diagnosis                                            # doctest: +SKIP
     <Diagnosis of 6 trials: closed; missing: dead_time>
     """
     trials = TrialSet(tuple(trials))

@@ -313,8 +313,8 @@ def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
     `Diagnosis.summary` is the short way:
 
     >>> import dropstitch
-    >>> words = dropstitch.gap_in_words(dropstitch.gap_document(found))  # doctest: +SKIP
-    >>> words.splitlines()[0]                                            # doctest: +SKIP
+    >>> words = dropstitch.gap_in_words(dropstitch.gap_document(diagnosis))  # doctest: +SKIP
+    >>> words.splitlines()[0]                                                # doctest: +SKIP
     'verdict: closed'
     """
     lines = [f"verdict: {document.verdict}", document.headline, document.sentence]
