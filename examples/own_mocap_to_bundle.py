@@ -33,13 +33,13 @@ current_1_a = {{ from = "current", unit = "mA" }}
 
 
 def record(path: Path, payload_kg: float) -> None:
-    rig = dropstitch.rig_named("default")
     motion = dropstitch.Motion(amplitude_rad=0.2, period_s=2.0)
     case = dropstitch.TrialCase(motion, payload_kg, trial=1)
-    frame = dropstitch.trial_frame(dropstitch.run_case(rig, case))
-    frame["position"] = np.degrees(frame.pop("angle_1_rad"))
-    frame["current"] = 1e3 * frame.pop("current_1_a")
-    frame.to_csv(path, index=False)
+    columns = dict(dropstitch.run_case(dropstitch.rig_named("default"), case).columns)
+    columns["position"] = np.degrees(columns.pop("angle_1_rad"))
+    columns["current"] = 1e3 * columns.pop("current_1_a")
+    table = np.column_stack([*columns.values()])
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="")
 
 
 def main(out: Path) -> int:
