@@ -189,10 +189,46 @@ def test_an_arm_that_leans_too_far_is_refused_before_the_torque_is_on(lean_rad):
     assert bus.calls == ["connect"]
 
 
+@pytest.mark.parametrize("read", [1, 78])  # the motion begins with the last
+def test_slots_missed_during_the_approach_leave_no_jump(read):
+    loop, bus, *_ = leaning(0.35)
+    bus.script = {read: 2 * PERIOD_NS + 1}
+    summary = loop.run()
+    goals = summary.records["goal_1_rad"]
+    assert (summary.ended, summary.timing.misses) == (Ended.FINISHED, 2)
+    assert np.abs(np.diff([0.35, *goals])).max() <= np.abs(np.diff(GOALS[:, 0])).max() * 1.1
+    later = (summary.records["tick"] >= 300) & (summary.records["tick"] < len(GOALS))
+    assert goals[later] == pytest.approx(GOALS[300:, 0], abs=1e-12)
+
+
 # --- ends of the loop in simulated time -----------------------------------------------------------
 
 
 GONE = "no fresh data for 3 ticks (PORT_GONE)"
+
+
+def test_a_port_that_goes_during_the_approach_lets_the_robot_go_on():
+    loop, bus, *_ = leaning(0.35, slots=600, bus=PluggedBus, replug_s=2.0)
+    bus.away, bus.script = 5, dict.fromkeys(range(20, 1000), BusStatus.PORT_GONE)
+    summary = loop.run()
+    assert summary.reason.split("; then ")[:2] == [GONE, "the port was back"]
+    assert summary.replugs == 1
+    goals = np.array([goal[0] for _, goal in bus.sent])
+    assert np.abs(np.diff(goals)).max() < 0.02
+
+
+def test_an_alert_in_the_answer_to_torque_off_is_no_success():
+    loop, bus, *_ = make(slots=5)
+    torque = bus.torque
+
+    def with_alert(on):
+        bus.alert = 0 if on else 0b1000
+        return torque(on)
+
+    bus.torque = with_alert
+    summary = loop.run()
+    assert (summary.ended, summary.released) == (Ended.TRIPPED, True)
+    assert "motor encoder" in summary.reason.split("; then ")[1]
 
 
 @pytest.mark.parametrize("place", ["read", "predict", "estimate"])

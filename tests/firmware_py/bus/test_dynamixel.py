@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from firmware_py.bus.codec import Instruction
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
@@ -19,6 +20,7 @@ from tests.firmware_py.bus.tampered import (
     XM,
     TamperedTransport,
     make,
+    paced,
     read,
 )
 
@@ -348,3 +350,21 @@ def test_a_servo_that_answers_no_read_is_not_released():
     bus, transport, _ = driven(LEGACY, LossyTransport)
     transport.tamper = lambda data: data if len(data) == 11 else b""
     assert bus.torque(False) is BusStatus.TIMEOUT
+
+
+def test_an_answer_lost_at_the_start_does_not_refuse_the_servos():
+    _, transport, clock = paced()
+    setups = [ServoSetup(id_, MODELS[LEGACY], -0.6, 0.6) for id_ in (1, 2)]
+    bus = DynamixelBus(transport, setups, clock, period_s=0.017)
+    read_bytes, lost = transport.read, []
+
+    def lose_the_first_measurement(size, deadline_ns):
+        if size and transport.written[-1][7] == Instruction.SYNC_READ and not lost:
+            lost.append(size)
+            transport.fates = ("lost",)
+        return read_bytes(size, deadline_ns)
+
+    transport.read = lose_the_first_measurement
+    bus.connect()
+    assert lost
+    assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.OK
