@@ -166,7 +166,9 @@ def _simulated(
     parts = embedded_parts(archive.directory / "resources")
     if parts is None:
         raise InputError(
-            archive.path, "carries no parts of ours", "give one that 'dropstitch fmu build' wrote"
+            archive.path,
+            "contains no plant or bundle",
+            "give one that 'dropstitch fmu build' wrote",
         )
     model = parts.model()
     inputs, outputs = names(model.inputs), names(model.outputs)

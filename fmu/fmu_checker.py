@@ -166,7 +166,9 @@ def check_fmu(
         parts = embedded_parts(archive.directory / "resources")
         if plant or bundle:
             if parts is None:
-                raise InputError(file, "carries no parts of ours", "omit the plant and the bundle")
+                raise InputError(
+                    file, "contains no plant or bundle", "omit the plant and the bundle"
+                )
             parts = parts.replaced_by(plant, bundle)
         return _checked(archive, parts)
 

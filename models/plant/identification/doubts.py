@@ -18,9 +18,13 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.units import FRACTION, LENGTH
 from firmware_py.link.link_description import STUDY_LINK
 from models.plant.document import DofEvaluation, Evaluation
-from models.plant.identification.fit import LARGEST_DERIVATIVE, Objective
-from models.plant.identification.identify import LINK_SIGNALS, Identification, free_parameters
-from models.plant.parameter import bound_reached
+from models.plant.identification.fit import (
+    LARGEST_DERIVATIVE,
+    LINK_SIGNALS,
+    Objective,
+    free_parameters,
+)
+from models.plant.parameter import Parameter, bound_reached
 from models.plant.plant import Plant
 from models.trials.checks.payloads import payload_unit_cause
 from models.trials.checks.trials import refuse_mixed_links
@@ -80,10 +84,10 @@ link has 0.067 at 2 kg (its root carries about 13 N·m) and 0.24 where its wall 
 (docs/sources.md, "The link"); an arc of 35 degrees has 0.3."""
 
 
-def doubts(result: Identification) -> list[str]:
+def doubts(fitted: Sequence[Parameter], held_out: Evaluation) -> list[str]:
     """Warnings about an identification, one sentence each."""
     warnings = []
-    for q in result.fitted:
+    for q in fitted:
         reached = bound_reached(q)
         limit = q.low if reached == "lower" else q.high
         # Zero, or all of a fraction, is a valid result; any other bound is not.
@@ -92,7 +96,7 @@ def doubts(result: Identification) -> list[str]:
                 f"{q.name} is at its {reached} bound, {limit:g} {q.unit}: the trials do not "
                 "determine it, or the plant lacks something that it stands in for"
             )
-    for dof, error in result.held_out.dof.items():
+    for dof, error in held_out.dof.items():
         warnings += _no_better_than_rigid(dof, error) or _payload_missed(dof, error)
     return warnings
 

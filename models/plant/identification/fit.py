@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -23,8 +23,10 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
 from firmware_py.core.errors import InputError
+from models.plant.components import DRIVES, LOADS
+from models.plant.effects import EFFECTS
 from models.plant.parameter import AT_BOUND, prior_deviation_of
-from models.plant.plant import ModelKind, Plant
+from models.plant.plant import ModelKind, Plant, scope_of
 from models.plant.simulation.runner import (
     Array,
     CompiledModel,
@@ -34,6 +36,28 @@ from models.plant.simulation.runner import (
 from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial
+
+LINK_SIGNALS: Final = ("tip", "di", "current")
+"""Signals that a link is fitted to, by the start of their names."""
+
+
+def free_parameters(plant: Plant, trials: Iterable[Trial]) -> tuple[list[str], list[str]]:
+    """Parameters to fit with the link and with the drive; friction is in both."""
+    scope = scope_of(plant.drive, plant.load, max(t.meta.dof for t in trials))
+
+    def free(part: Any) -> list[str]:
+        declared = [q.name for q in part.parameters(scope)]
+        return [name for name in declared if plant.parameters[name].role != "fixed"]
+
+    load, drive = free(LOADS[plant.load]()), free(DRIVES[plant.drive]())
+    for effect in (EFFECTS[name] for name in plant.effects):
+        if effect.port != "command":
+            load += free(effect())
+        if effect.port in ("command", "servo_torque"):
+            drive += free(effect())
+    load += [n for n in drive if n.startswith(("rotor_inertia_", "torque_constant_"))]  # in current
+    return load, drive
+
 
 # Signals of a trial, their scales and weights
 

@@ -19,30 +19,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
 
 from firmware_py.bus.servo_models import ServoGains
 from firmware_py.core.errors import InputError
-from models.plant.components import DRIVES, LOADS
+from models.plant.components import LOADS
 from models.plant.components.goal import NO_ACCELERATION_LIMIT
 from models.plant.document import Evaluation, Provenance
-from models.plant.effects import EFFECTS
+from models.plant.identification.doubts import doubts, refuse_other_links, torque_constant_doubts
 from models.plant.identification.evaluation import evaluate_plant, over_payloads, plot_fit
-from models.plant.identification.fit import Objective, Solution, fit_objective
+from models.plant.identification.fit import (
+    LINK_SIGNALS,
+    Objective,
+    Solution,
+    fit_objective,
+    free_parameters,
+)
 from models.plant.identification.noise_floor import check_duration, with_noise_floor
 from models.plant.parameter import Parameter, bound_reached, is_weakly_determined
-from models.plant.plant import Plant, scope_of
+from models.plant.plant import Plant
 from models.plant.simulation.runner import Array
 from models.trials.checks.trials import judge_not_fitted, judge_pressures, refuse_unusable
 from models.trials.trial import Trial, TrialSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-LINK_SIGNALS: Final = ("tip", "di", "current")  # start of the names of those that it is fitted to
 
 Report = Callable[[str], None]
 
@@ -94,9 +98,7 @@ class Identification:
 
     def warnings(self) -> list[str]:
         """Return what speaks against the result, one sentence each."""
-        from models.plant.identification.doubts import doubts, torque_constant_doubts
-
-        warnings = doubts(self)
+        warnings = doubts(self.fitted, self.held_out)
         if len(self.trials):
             warnings += torque_constant_doubts(self.plant, self.trials.split()[0])
         findings = [*judge_pressures(self.trials), *judge_not_fitted(self.trials)]
@@ -175,8 +177,6 @@ def identify(
     >>> result                                                            # doctest: +SKIP
     <Identification of 'drop-stitch link, identified': 24 parameters fitted; Evaluation on 2 ...>
     """
-    from models.plant.identification.doubts import refuse_other_links
-
     trials = TrialSet(tuple(trials))
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
@@ -209,24 +209,6 @@ def identify(
     if noise_floor:
         result = with_noise_floor(result, trials)
     return Identification(result, tuple(result.parameters[n] for n in fitted), errors, trials)
-
-
-def free_parameters(plant: Plant, trials: Iterable[Trial]) -> tuple[list[str], list[str]]:
-    """Parameters to fit with the link and with the drive; friction is in both."""
-    scope = scope_of(plant.drive, plant.load, _planes(trials))
-
-    def free(part: Any) -> list[str]:
-        declared = [q.name for q in part.parameters(scope)]
-        return [name for name in declared if plant.parameters[name].role != "fixed"]
-
-    load, drive = free(LOADS[plant.load]()), free(DRIVES[plant.drive]())
-    for effect in (EFFECTS[name] for name in plant.effects):
-        if effect.port != "command":
-            load += free(effect())
-        if effect.port in ("command", "servo_torque"):
-            drive += free(effect())
-    load += [n for n in drive if n.startswith(("rotor_inertia_", "torque_constant_"))]  # in current
-    return load, drive
 
 
 def _all_free(plant: Plant, trials: Iterable[Trial]) -> tuple[str, ...]:

@@ -14,26 +14,24 @@ from models.plant.identification.doubts import (
     refuse_other_links,
     torque_constant_doubts,
 )
-from models.plant.identification.identify import Identification
 from models.plant.plant import read_plant
 from models.predictor.fallback import doubts_of_di
 from models.trials.files import write_trial
 
 
-def identified(fitted=(), tip_m=(0.002,), rigid_m=(0.02,), clock_m=(None,)):
-    """Result with these errors of the tip at 0 kg, 1 kg, …; the worst are those of all trials."""
+def evaluation(tip_m=(0.002,), rigid_m=(0.02,), clock_m=(None,)):
+    """Errors of the tip at 0 kg, 1 kg, …; the worst are those of all trials."""
     rows = [TipError(*row) for row in zip(tip_m, rigid_m, clock_m, strict=True)]
     dof = DofEvaluation(
         signals={}, trials=2, tip_rms_m=max(tip_m), rigid_tip_rms_m=max(rigid_m),
         payloads={f"{k}": row for k, row in enumerate(rows)},
     )  # fmt: skip
-    errors = Evaluation(signals={}, trials=2, dof={"1": dof}, origins=())
-    return Identification(read_plant(), fitted, errors)
+    return Evaluation(signals={}, trials=2, dof={"1": dof}, origins=())
 
 
 def test_a_parameter_at_the_edge_of_its_range_is_named():
     mass = read_plant().parameters["link_mass_kg"]
-    (doubt,) = doubts(identified(fitted=(msgspec.structs.replace(mass, value=mass.high),)))
+    (doubt,) = doubts([msgspec.structs.replace(mass, value=mass.high)], evaluation())
     assert "link_mass_kg is at its upper bound, 2 kg" in doubt
 
 
@@ -52,8 +50,8 @@ def test_a_parameter_at_the_edge_of_its_range_is_named():
 def test_an_error_of_the_tip_that_speaks_against_the_plant_is_named_once(
     tip_m, rigid_m, clock_m, of_fit, of_evaluation
 ):
-    result = identified((), tip_m, rigid_m, (None, clock_m)[: len(tip_m)])
-    of_result = doubts(result), evaluation_doubts(result.held_out, read_plant())
+    errors = evaluation(tip_m, rigid_m, (None, clock_m)[: len(tip_m)])
+    of_result = doubts([], errors), evaluation_doubts(errors, read_plant())
     for warnings, phrase in zip(of_result, (of_fit, of_evaluation), strict=True):
         assert len(warnings) == (phrase is not None)
         assert all(phrase in text for text in warnings)
