@@ -137,10 +137,9 @@ class Diagnosis:
     @property
     def separation_of_nothing(self) -> float:
         """d′ that is reached where nothing is missing on such trials."""
-        certainty, estimator = read_certainty(), self.nuisance.measured
         if not self.naming.is_learned:
             return LEAST_WITHOUT_FLOOR
-        return certainty.separation_of_nothing * certainty.scale_for(estimator)
+        return read_certainty().least_separation(self.nuisance.measured, self.naming.best.point)
 
     @property
     def unexplained_fraction(self) -> float:

@@ -3,17 +3,19 @@
 Three numbers of a fit give the probabilities that nothing is missing, that its effects are what is
 missing, and that something outside of the catalogue is:
 
-- separation: its d′, over a factor on motions and at payloads that the plant was not identified on,
-  where its own error is larger;
+- separation: its d′, over a factor where the plant's own error is larger: on motions and at
+  payloads that it was not identified on, and on a link that changed since;
+- margin: fraction of its d′ by which the first name exceeds the next effect, each alone. What
+  stands in for something else is seldom alone in that;
 - difference: by how much the strength of an effect differs between parts of the trials
-  (`models.gap.search.strength_consistency`);
-- left: fraction of the gap's amplitude, beyond noise, that it leaves. What leaves nearly all of a
-  gap that is more than noise explains nothing, whatever its d′.
+  (`models.gap.search.strength_consistency`).
 
-Where nothing is missing, the plant's own error lets some effect reach a large d′ as well, on a link
-that changed up to 25. But as a stand-in it needs another strength in each part of the trials. The
-numbers enter a multinomial logistic regression; `certainty.json` holds it with the error of each
-effect's equation. `python -m models.gap.training` makes the file.
+What leaves nearly all of a gap that is more than noise explains nothing, whatever its d′.
+
+Where nothing is missing, the plant's own error lets some effect reach a large d′ as well. But as a
+stand-in it needs another strength in each part of the trials. The numbers enter a multinomial
+logistic regression; `certainty.json` holds it with the error of each effect's equation.
+`python -m models.gap.training` makes the file.
 """
 
 from __future__ import annotations
@@ -24,17 +26,22 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
-from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.residuals.fit_parameters import NUISANCE_PRIOR_FRACTION
 
 PATH: Final = Path(__file__).with_name("certainty.json")
 
-Knowledge = Literal["identified", "other motions", "other payloads"]
+Knowledge = Literal["identified", "other link", "other payloads", "other motions"]
 """Whether the plant was identified on such trials, and else what was new to it."""
 
 DECIDED: Final = 0.9
 """Probability above which an effect counts as decided; below 1 − this, as excluded."""
 LEAST_SEPARATION: Final = 1.0
 """d′ below which a smaller one proves no less: its standard deviation by noise alone."""
+LINK_CHANGED: Final = 2.0
+"""Root mean square change of the link's parameters, in standard deviations of their priors, from
+which it counts as another link. On rigs for tuning without an effect the same link reached 1.3 and
+other links began at 3.1."""
 NOTHING_EXPLAINED: Final = 0.95
 """Fraction of a gap that is left above which nothing of it counts as explained. Right names on rigs
 for tuning left up to 0.89 of a gap that was more than noise, a single one 0.98. A payload that
@@ -45,15 +52,21 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Numbers of a fit that the probabilities follow from; see the module's docstring."""
 
     separation: float
+    margin: float
     difference: float
-    left: float
+    left: float  # Fraction of the gap's amplitude, beyond noise, that is left
     is_open: bool  # Whether more than noise is left
 
     @property
     def terms(self) -> list[float]:
         """Terms of the regression."""
         separation = max(self.separation, LEAST_SEPARATION)
-        return [1.0, float(np.log(separation)), self.difference, self.left]
+        return [1.0, float(np.log(separation)), self.margin, self.difference]
+
+    @property
+    def explains_nothing(self) -> bool:
+        """Whether it leaves nearly all of a gap that is more than noise."""
+        return self.is_open and self.left > NOTHING_EXPLAINED
 
 
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -79,15 +92,19 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     # Root mean square error of a fitted strength beyond chance, as a fraction of it
     equation_error: dict[str, float]
 
-    def scale_for(self, known: GaussNewton) -> float:
-        """Factor on d′ where nothing is missing, on the trials of an estimator."""
-        return self.separation_scale[knowledge_of(known)]
+    def scale_for(self, estimator: GaussNewton, point: FitPoint) -> float:
+        """Factor by which d′ is larger where nothing is missing, on these trials."""
+        return self.separation_scale[knowledge_of(estimator, point)]
+
+    def least_separation(self, estimator: GaussNewton, point: FitPoint) -> float:
+        """d′ that is reached where nothing is missing, on these trials."""
+        return self.separation_of_nothing * self.scale_for(estimator, point)
 
     def answers_for(self, evidence: Evidence) -> Answers:
         """Probabilities of the answers."""
         score = {name: float(np.dot(row, evidence.terms)) for name, row in self.answers.items()}
         weight = {name: np.exp(s - max(score.values())) for name, s in score.items()}
-        if evidence.is_open and evidence.left > NOTHING_EXPLAINED:
+        if evidence.explains_nothing:
             weight["outside"] += weight["catalogue"]
             weight["catalogue"] = 0.0
         total = sum(weight.values())
@@ -98,17 +115,34 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         return self.equation_error.get(effect, max(self.equation_error.values()))
 
 
-def knowledge_of(known: GaussNewton) -> Knowledge:
-    """What is known of the plant's own error on most of the trials."""
-    trials, motions, payloads = known.residuals.trials, 0, 0
-    for group in known.residuals.groups:
-        curves, knowledge = known.floor.curves_for(group, trials)
+def knowledge_of(estimator: GaussNewton, point: FitPoint) -> Knowledge:
+    """What is known of the plant's own error on most of the trials, at a fit."""
+    trials, motions, payloads = estimator.residuals.trials, 0, 0
+    for group in estimator.residuals.groups:
+        curves, knowledge = estimator.floor.curves_for(group, trials)
         own_kg = [trials[k].meta.payload_kg for k in group.trials]
         motions += len(own_kg) if knowledge == "unknown" else 0
         payloads += sum(kg not in curves for kg in own_kg)
     if 2 * motions >= len(trials):
         return "other motions"
-    return "other payloads" if 2 * payloads >= len(trials) else "identified"
+    if 2 * payloads >= len(trials):
+        return "other payloads"
+    return "other link" if link_change(estimator, point) > LINK_CHANGED else "identified"
+
+
+def link_change(estimator: GaussNewton, point: FitPoint) -> float:
+    """Root mean square change of the link's parameters, in standard deviations of their priors.
+
+    It is 0 for other loads.
+    """
+    changes = [
+        value / q.standard_deviation
+        for q, value in zip(estimator.residuals.fit_parameters, point.values, strict=True)
+        if q.kind == "nuisance" and any(part in q.name for part in NUISANCE_PRIOR_FRACTION)
+    ]
+    if estimator.residuals.plant.load != "link":
+        return 0.0
+    return float(np.sqrt(np.mean(np.square(changes))))
 
 
 def read_certainty() -> Certainty:

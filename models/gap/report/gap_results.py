@@ -9,6 +9,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from models.gap.decision.certainty import Evidence
 from models.gap.decision.look_alikes import Hypothesis, effect_probabilities
 from models.gap.diagnosis import Diagnosis
 from models.gap.report.gap_json import (
@@ -213,6 +214,7 @@ def _named(diagnosis: Diagnosis) -> list[NamedEffect]:
                 evidence=NamingEvidence(
                     separation,
                     diagnosis.separation_of_nothing,
+                    diagnosis.evidence.margin,
                     diagnosis.evidence.difference,
                     diagnosis.evidence.left,
                 ),
@@ -277,14 +279,22 @@ def _refused(diagnosis: Diagnosis) -> list[RefusedEffects]:
             reason = f"the error on the {joined(diagnosis.left_out)} left out does not fall enough"
             rows.append(RefusedEffects(best.candidates, "held-out error", best.separation, reason))
         else:
-            reason = (
-                f"its probability is {diagnosis.answers.catalogue:.0%}; its strength would have to "
-                f"differ by {diagnosis.evidence.difference:.0%} between parts of the trials"
-            )
+            reason = _improbable(diagnosis.answers.catalogue, diagnosis.evidence)
             rows.append(RefusedEffects(best.candidates, "improbable", best.separation, reason))
     if diagnosis.named:
         rows += _further(diagnosis)
     return rows
+
+
+def _improbable(probability: float, evidence: Evidence) -> str:
+    """Why the best candidate is not named, as a clause."""
+    if evidence.explains_nothing:
+        return f"it leaves {evidence.left:.1%} of the gap"
+    return (
+        f"its probability is {probability:.0%}: it exceeds the next effect by "
+        f"{evidence.margin:.0%}, and its strength would have to differ by "
+        f"{evidence.difference:.0%} between parts of the trials"
+    )
 
 
 def _further(diagnosis: Diagnosis) -> list[RefusedEffects]:

@@ -98,7 +98,7 @@ class EffectSearch:
         self.nothing = SetFit((), nuisance.point, self.base, 0.0)
         self.unexcited = unexcited_candidates(estimator, nuisance.point, self.base, self.of)
         self.screened: dict[str, float] = {}  # d′ of every candidate alone, before its refit
-        self._given = estimator.linearise(estimator.at(0.0 * nuisance.point.values))
+        self._unfitted = estimator.linearise(estimator.at(0.0 * nuisance.point.values))
 
     def free(self, candidates: Sequence[str]) -> Mask:
         """Fit parameters of some candidates with nuisance and variation, ndarray of bool."""
@@ -130,10 +130,12 @@ class EffectSearch:
     def pairs(self, least_gain: float) -> list[SetFit]:
         """Best fits of two candidates, by the fall of the cost that derivatives predict.
 
+        Of a pair the one that explains more alone comes first.
         `least_gain`: fall of the cost that a pair must reach; those that cannot are left out.
         """
         here = self.nothing.point
         names = [name for name in self.of if ":" not in name]
+        names.sort(key=lambda name: -self.screened.get(name, 0.0))
         rows = [
             (*self.estimator.step(here, self.free(pair)), pair)
             for pair in itertools.combinations(names, 2)
@@ -164,7 +166,7 @@ class EffectSearch:
     def _screened(self, fit: SetFit, names: Sequence[str], least: float) -> list[_Screened]:
         """Candidates after one step, and at strengths far from zero; the best first."""
         here = fit.point
-        starts = [here] if fit.candidates else [here, self._given]
+        starts = [here] if fit.candidates else [here, self._unfitted]
         rows = []
         for name in names:
             free, is_flat = fit.free | self.of[name], name in self.unexcited

@@ -74,7 +74,7 @@ def strengths_far_from_zero(
     known. `is_flat`: whether derivatives at zero show nothing of the effect; then a short fit
     follows from the best strength, since the nuisance may have compensated for the effect.
 
-    Shapes: `own` (p,), `free` (p,).
+    Shapes: `of_effect` (p,), `free` (p,).
     """
     if is_flat:
         points = []
@@ -131,7 +131,7 @@ def strength_ladder(
 ) -> list[FitPoint]:
     """Points along the strength of an effect, denser around the best.
 
-    Shapes: `own` (p,).
+    Shapes: `of_effect` (p,).
     """
     residuals = estimator.residuals
     at = int(np.flatnonzero(of_effect)[0])

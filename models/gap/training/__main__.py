@@ -71,7 +71,7 @@ def quick_cases() -> list[HiddenCase]:
     first = {
         (case.kind, case.rig): case
         for case in reversed(all_cases(2))
-        if case.knowledge == "identified" and case.kind != "pair"
+        if case.motion == case.payloads == "study" and case.kind != "pair"
     }
     return list(first.values())
 

@@ -17,8 +17,14 @@ import msgspec
 import numpy as np
 
 from firmware_py.core.errors import InputError
-from models.gap.decision.certainty import Answers, Evidence, read_certainty
-from models.gap.decision.naming import evidence_of
+from models.gap.decision.certainty import (
+    Answers,
+    Evidence,
+    Knowledge,
+    knowledge_of,
+    read_certainty,
+)
+from models.gap.decision.naming import evidence_of, separations_alone
 from models.gap.diagnosis import Diagnosis, GapVerdict, diagnose
 from models.gap.training.cases import PAYLOAD_SETS, PAYLOADS_KG, HiddenCase, motion_named
 from models.plant.identification.identify import identify
@@ -57,7 +63,8 @@ class DataSetRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     look_alikes: dict[str, tuple[tuple[str, ...], ...]] = {}
     best: tuple[str, ...] = ()  # Candidate with the largest d′ alone
     separation: float = 0.0  # d′ of it
-    evidence: Evidence = Evidence(0.0, 0.0, 1.0, False)
+    knowledge: Knowledge = "identified"
+    evidence: Evidence = Evidence(0.0, 0.0, 0.0, 1.0, False)
     answers: Answers | None = None
     alone: dict[str, float] = {}  # d′ of each candidate alone
     residual_before: float = 0.0  # Mean squared, in noise floors, of the nuisance fit
@@ -168,7 +175,6 @@ def run_hidden_case(case: HiddenCase, plant: Plant) -> DataSetRecord:
             for s in sets for e in effects_of(s)
         }  # fmt: skip
     search, first = diagnosis.naming.search, diagnosis.naming.rounds[0]
-    alone = {f.candidates[0]: f.separation for f in first}
     # The candidate that explains most alone: what is named beyond it depends on the certainty.
     best = next(iter(first), search.nothing)
     return DataSetRecord(
@@ -178,9 +184,10 @@ def run_hidden_case(case: HiddenCase, plant: Plant) -> DataSetRecord:
         look_alikes=_look_alikes(diagnosis),
         best=best.candidates,
         separation=best.separation,
-        evidence=evidence_of(search, best, read_certainty()),
+        knowledge=knowledge_of(search.estimator, best.point),
+        evidence=evidence_of(search, best, read_certainty(), diagnosis.naming.evidence.margin),
         answers=diagnosis.answers,
-        alone=search.screened | alone,
+        alone=separations_alone(search, first),
         residual_before=diagnosis.nuisance.mean_residual(search.nothing.point),
         residual_after=search.estimator.mean_square(best.point),
         strengths=tuple(_strengths(diagnosis, rig, case)),

@@ -20,7 +20,6 @@ import numpy as np
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
-from models.gap.decision.certainty import Knowledge
 from models.rig.drawn import FIRST_TEST_NUMBER, LINK_DEVIATION, PREFIX, rig_named
 from models.rig.parameters import RigParameters
 from models.shared.catalogue import CATALOGUE
@@ -74,13 +73,6 @@ class HiddenCase:
     frame_turn_rad: dict[str, float] = field(default_factory=dict)
     motion: str = "study"  # In MOTIONS
     payloads: str = "study"  # In PAYLOAD_SETS
-
-    @property
-    def knowledge(self) -> Knowledge:
-        """What is known of the plant's own error on these trials."""
-        if self.motion != "study":
-            return "other motions"
-        return "other payloads" if self.payloads != "study" else "identified"
 
 
 def motion_named(name: str, joints: int) -> Motion:
@@ -138,24 +130,21 @@ def hidden_cases(
 def tuning_cases(number: int) -> list[HiddenCase]:
     """Cases of the drawn rig with a number; refused if it is for testing.
 
-    Every other rig keeps its link, a quarter has two joints. Those with one joint also run another
-    motion and other payloads than their plant was identified on, without an effect.
+    Every other rig keeps its link. Without an effect each also runs another motion and other
+    payloads than its plant was identified on.
     """
     if not FIRST_TUNING_NUMBER <= number < FIRST_TEST_NUMBER:
         raise InputError(
             f"{PREFIX}{number}", "is not for tuning",
             f"take rigs from {FIRST_TUNING_NUMBER} to {FIRST_TEST_NUMBER - 1}",
         )  # fmt: skip
-    rig, joints = f"{PREFIX}{number}", 2 if number // 2 % 4 == 3 else 1
+    rig = f"{PREFIX}{number}"
     counts = {"usual": 4, "faint": 2, "nulls": 4, "pairs": 2, "outside": 2}
-    cases = list(hidden_cases(rig, **counts, seed=TUNING_SEED, same_link=bool(number % 2),
-                              joints=joints))  # fmt: skip
+    cases = list(hidden_cases(rig, **counts, seed=TUNING_SEED, same_link=bool(number % 2)))
     *_, first, second = nulls = [case for case in cases if case.kind == "null"]
+    motion = OTHER_MOTIONS[(number // 2 + number // 8) % len(OTHER_MOTIONS)]
     cases = [case for case in cases if case not in nulls[2:]]
-    if joints == 1:
-        motion = OTHER_MOTIONS[(number // 2 + number // 8) % len(OTHER_MOTIONS)]
-        cases += [replace(first, motion=motion), replace(second, payloads="between")]
-    return cases
+    return [*cases, replace(first, motion=motion), replace(second, payloads="between")]
 
 
 def _strength(rng: np.random.Generator, rig: RigParameters, effect: str, size: float) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, get_args
 
 import msgspec
 import numpy as np
@@ -31,8 +31,11 @@ EXCEEDED: Final = 0.1
 effect must be the same everywhere too, which few of these pass."""
 NAMED_FRACTION: Final = 0.03
 """Fraction of data sets without an effect that may be given a name (requirement)."""
-SCALES: Final = tuple(float(s) for s in np.arange(1.0, 10.1, 0.5))
-"""Factors on d′ that are tried."""
+MOST_FACTOR: Final = 20.0
+"""Largest factor on d′ that is tried."""
+KNOWLEDGE: Final[tuple[Knowledge, ...]] = get_args(Knowledge)
+STUDY_TRIALS: Final[tuple[Knowledge, ...]] = ("identified", "other link")
+"""Trials that the probabilities are fitted to; the others have no effect."""
 REGULARISATIONS: Final = tuple(10.0 ** np.arange(-2, 3.5, 0.5))
 """C of the regression; the one that predicts the rigs left out best is taken."""
 BINS: Final = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
@@ -59,14 +62,21 @@ def fitted_certainty(
     nulls = _by_knowledge(r for r in possible if r.case.kind == "null")
     reached = {key: limit([r.separation for r in of_kind]) for key, of_kind in nulls.items()}
     least = reached["identified"]
-    noise = limit([r.residual_after for r in nulls["identified"]])
+    factors = {key: max(1.0, value / least) for key, value in reached.items()}
+    scale = {key: round(factors.get(key, max(factors.values())), 1) for key in KNOWLEDGE}
+    study = [r for r in possible if r.knowledge in STUDY_TRIALS]
+    noise = limit([r.residual_after for r in study if r.case.kind == "null"])
+    scaled = [
+        (msgspec.structs.replace(r.evidence, separation=r.separation / scale[r.knowledge]), r)
+        for r in study
+    ]
     labelled = [
-        (r, answer) for r in possible
-        if r.case.knowledge == "identified" and (answer := true_answer(r, least))
+        (evidence, answer, r.case.rig) for evidence, r in scaled
+        if (answer := true_answer(r, evidence.separation > least))
     ]  # fmt: skip
-    x = np.array([r.evidence.terms[1:] for r, _ in labelled])
-    y = np.array([answer for _, answer in labelled])
-    rigs = [r.case.rig for r, _ in labelled]
+    x = np.array([evidence.terms[1:] for evidence, _, _ in labelled])
+    y = np.array([answer for _, answer, _ in labelled])
+    rigs = [rig for _, _, rig in labelled]
     if lacking := set(ANSWERS) - set(y):
         raise InputError(
             "the data sets", f"have none with the answer {sorted(lacking)[0]!r}", "take more rigs"
@@ -74,27 +84,25 @@ def fitted_certainty(
     predicted = {c: _left_out(c, x, y, rigs) for c in REGULARISATIONS}
     loss = {c: log_loss(y, p, labels=ANSWERS) for c, p in predicted.items()}
     best = min(loss, key=lambda c: loss[c])
-    model = _regression(best).fit(x, y)
     errors = equation_errors([s for r in possible for s in r.strengths])
     certainty = Certainty(
         made_with=dict(made_with),
         data_sets=len(labelled),
         separation_of_nothing=round(least, 1),
         residual_of_nothing=round(noise, 3),
-        separation_scale={"identified": 1.0, "other motions": 1.0, "other payloads": 1.0},
-        answers=_coefficients(model),
+        separation_scale=scale,
+        answers=_coefficients(_regression(best).fit(x, y)),
         equation_error=_rounded(errors),
-    )  # fmt: skip
-    scales = {key: _separation_scale(certainty, of_kind) for key, of_kind in nulls.items()}
-    certainty = msgspec.structs.replace(
-        certainty, separation_scale=certainty.separation_scale | scales
     )
+    for key in KNOWLEDGE:
+        if key not in STUDY_TRIALS:
+            scale[key] = _factor_without_names(certainty, scale[key], nulls.get(key, ()))
     in_catalogue = predicted[best][:, ANSWERS.index("catalogue")]
     counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
     report = [
         f"{len(labelled)} data sets of {len(set(rigs))} rigs: {counts}",
         *(f"{key}: d′ up to {reached[key]:.1f} in {len(of_kind)} data sets without an effect, "
-          f"scale {scales[key]:g}" for key, of_kind in nulls.items()),
+          f"factor {scale[key]:g}" for key, of_kind in nulls.items()),
         f"residual up to {noise:.2f} noise floors there",
         f"log loss with each rig left out: {loss[best]:.3f} at C = {best:.3g}",
         calibration_table(in_catalogue, y == "catalogue"),
@@ -103,18 +111,18 @@ def fitted_certainty(
     return FittedCertainty(certainty, "\n".join(report))
 
 
-def _separation_scale(certainty: Certainty, nulls: Sequence[DataSetRecord]) -> float:
+def _factor_without_names(
+    certainty: Certainty, least: float, nulls: Sequence[DataSetRecord]
+) -> float:
     """Least factor on d′ with which few data sets without an effect are given a name."""
-    for scale in SCALES:
-        named = 0
-        for record in nulls:
-            evidence = msgspec.structs.replace(
-                record.evidence, separation=record.separation / scale
-            )
-            named += certainty.answers_for(evidence).catalogue >= NAMED_PROBABILITY
-        if named <= NAMED_FRACTION * len(nulls):
-            break
-    return scale
+    for factor in np.arange(least, MOST_FACTOR, 0.5):
+        evidence = [
+            msgspec.structs.replace(r.evidence, separation=r.separation / factor) for r in nulls
+        ]
+        named = [certainty.answers_for(e).catalogue >= NAMED_PROBABILITY for e in evidence]
+        if sum(named) <= NAMED_FRACTION * len(nulls):
+            return float(factor)
+    return MOST_FACTOR
 
 
 def limit(values: Sequence[float]) -> float:
@@ -122,11 +130,12 @@ def limit(values: Sequence[float]) -> float:
     return float(np.quantile(values, 1 - EXCEEDED))
 
 
-def true_answer(record: DataSetRecord, least: float) -> str | None:
+def true_answer(record: DataSetRecord, shows: bool) -> str | None:
     """Answer that would be right; None where the trials cannot tell it.
 
-    A wrong name has the answer "outside": what is missing is none of what was named. A wrong effect
-    below the least d′ says that the hidden one does not show in these trials.
+    A wrong name has the answer "outside": what is missing is none of what was named. `shows`:
+    whether its d′ is more than is reached where nothing is missing. If not, the trials do not show
+    what is hidden.
     """
     kind = record.case.kind
     if kind == "null":
@@ -135,7 +144,7 @@ def true_answer(record: DataSetRecord, least: float) -> str | None:
         return "outside" if record.separable else None
     if record.best_is_right:
         return "catalogue"
-    return "outside" if record.separation > least else None
+    return "outside" if shows else None
 
 
 def calibration_table(probability: Array, right: Sequence[bool]) -> str:
@@ -210,7 +219,7 @@ def _left_out(c: float, x: Array, y: Array, rigs: Sequence[str]) -> Array:
 def _by_knowledge(records: Iterable[DataSetRecord]) -> dict[Knowledge, list[DataSetRecord]]:
     result: dict[Knowledge, list[DataSetRecord]] = {}
     for record in records:
-        result.setdefault(record.case.knowledge, []).append(record)
+        result.setdefault(record.knowledge, []).append(record)
     return result
 
 

@@ -26,11 +26,11 @@ from models.trials.trial import Trial, TrialMeta, TrialSet
 @pytest.mark.parametrize(
     ("evidence", "answer"),
     [
-        (Evidence(separation=60.0, difference=0.05, left=0.2, is_open=False), "catalogue"),
-        (Evidence(separation=2.0, difference=0.2, left=1.0, is_open=False), "nothing"),
-        (Evidence(separation=12.0, difference=0.5, left=0.9, is_open=False), "nothing"),
-        (Evidence(separation=40.0, difference=0.8, left=0.9, is_open=True), "outside"),
-        (Evidence(separation=36.0, difference=0.05, left=1.0, is_open=True), "outside"),
+        (Evidence(60.0, margin=0.6, difference=0.05, left=0.2, is_open=False), "catalogue"),
+        (Evidence(2.0, margin=0.1, difference=0.2, left=1.0, is_open=False), "nothing"),
+        (Evidence(6.0, margin=0.1, difference=0.5, left=0.9, is_open=False), "nothing"),
+        (Evidence(40.0, margin=0.1, difference=0.8, left=0.9, is_open=True), "outside"),
+        (Evidence(36.0, margin=0.6, difference=0.05, left=1.0, is_open=True), "outside"),
     ],
     ids=["clear", "faint", "the plant's error", "stand-in", "explains nothing"],
 )
