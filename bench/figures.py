@@ -107,7 +107,7 @@ def tip(out: Path) -> list[Figure]:
 
     rows = []
     for dof in (1, 2):
-        measured = bench.measure(BUILD / f"bundle_{dof}dof", ["multisine"], False, "default")
+        measured = bench.measure(BUILD / f"bundle_{dof}dof", ["multisine"], "default")
         errors = measured["multisine"]["deployed"]["all"]
         paper_mm = 1e3 * measured["multisine"]["paper's polynomial"]["all"]["mean_m"]
         mean_mm, percent = 1e3 * errors["mean_m"], 100 * errors["coverage"]
@@ -301,7 +301,7 @@ def plans(out: Path) -> list[Figure]:
 
     rows = []
     for dof in (1, 2):
-        cases = measure(BUILD, [dof], ["as identified"])
+        cases = measure(BUILD, [dof])
         worst = max(cases, key=lambda case: case["unknown_m"])
         rms_mm, known_mm, rigid_mm = (1e3 * worst[f"{k}_m"] for k in ("unknown", "known", "rigid"))
         path = "line" if dof == 1 else "circle"
