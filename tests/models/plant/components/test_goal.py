@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import CubicSpline
 
-from models.plant.components.goal import NO_ACCELERATION_LIMIT, above_mean, profiled_change
+from models.plant.components.cascade import NO_ACCELERATION_LIMIT, above_mean, profiled_change
 from models.plant.identification.fit import Objective, fit_objective
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel
