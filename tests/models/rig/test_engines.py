@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from firmware_py.core.errors import InputError
-from models.rig.parameters import read_rig
+from models.rig.drawn import rig_named
 from models.rig.protocol import build_rig, run_case
 from tests.models.rig.rigs import (
     ELASTIC,
@@ -167,7 +167,7 @@ def test_energy_of_the_rod_never_grows_unforced(rod):
 
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_energy_of_the_hinged_link_never_grows_unforced(name):
-    rig = build_rig(unforced(read_rig(name)), 2, 1.0)
+    rig = build_rig(unforced(rig_named(name)), 2, 1.0)
     velocity = 0.3 * np.random.default_rng(1).standard_normal(rig.model.nv)
     velocity[rig.joints] = 0.0
     rig.data.qvel[:] = velocity
@@ -188,7 +188,7 @@ def test_energy_of_the_hinged_link_never_grows_unforced(name):
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_the_hinged_link_follows_its_goal_and_bends_outwards(name):
     goal = np.array([0.3, -0.2])
-    rig, swing = build_rig(read_rig(name), 2, 1.0), []
+    rig, swing = build_rig(rig_named(name), 2, 1.0), []
     for _ in range(235):
         rig.send(goal)
         run(rig, 0.017)
@@ -217,7 +217,7 @@ def test_effects_outside_the_law_show_on_the_rod_and_none_at_strength_zero(rod):
 
 @pytest.mark.slow
 def test_a_trial_of_the_rod_depends_on_its_seed_alone(short_case):
-    rig = read_rig("cosserat").changed(**{"world.settle_s": 0.1, "world.pause_s": 0.1})
+    rig = rig_named("cosserat").changed(**{"world.settle_s": 0.1, "world.pause_s": 0.1})
     case = short_case(period_s=0.3)
     trial = run_case(rig, case)
     assert trial.sha256() == run_case(rig, case).sha256()

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_py.link.link_description import LinkDescription
+from models.rig.drawn import rig_named
 from models.rig.hinged import BendLaw, hysteresis_springs, relaxation_spectrum, slide
-from models.rig.parameters import link_stiffness, read_parameters, read_rig, rig_of_link
+from models.rig.parameters import read_parameters
 from models.rig.rod import SectionLaw
 from tests.models.rig.rigs import EVEN, NO_MEMORY, UNLIMITED
 
@@ -23,7 +23,7 @@ ENGINES = ("default", "chain", "rod")
 
 def law_of(engine, hidden=None, **values):
     """Function (bends (9, 2), leaking_s) -> moments (9, 2) against them, one step later."""
-    rig = read_rig("default" if engine == "rod" else engine).hide(hidden or {})
+    rig = rig_named("default" if engine == "rod" else engine).hide(hidden or {})
     rig = rig.changed(**{"stiffness.prebend_rad": 0.0} | values)
     if engine == "rod":
         law = SectionLaw(rig, STEP_S, SECTIONS)
@@ -132,20 +132,6 @@ def test_pressure_adds_stiffness_by_prestress_and_limits_in_proportion(engine, p
     assert root_nm(1e4) == pytest.approx(LIMIT_NM * pressure_pa / 41_300.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("section", ["square", "round"])
-def test_a_described_link_has_the_shear_and_prestress_of_its_section(section, tmp_path):
-    def at(pressure_pa):
-        link = LinkDescription(width_m=0.2, section=section, pressure_pa=pressure_pa)
-        return link_stiffness(rig_of_link(link, tmp_path / "link.toml"))
-
-    low, high = at(20_000.0), at(60_000.0)
-    pull_n = 40_000.0 * 0.2**2 * (1.0 if section == "square" else np.pi / 4)
-    assert high.shear_n - low.shear_n == pytest.approx(pull_n)
-    gained = pull_n * 0.2**2 / (6 if section == "square" else 8)
-    assert high.bending_n_m2 - low.bending_n_m2 == pytest.approx(gained)
-    assert high.root_limit_nm / low.root_limit_nm == pytest.approx(3.0)
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_positive_bends_are_stiffer_by_the_directional_share(engine):
     law = law_of(engine, **{**PLAIN, "stiffness.directional_share": 0.2})
@@ -178,7 +164,7 @@ def test_a_constant_bend_relaxes_by_the_relaxing_share():
 
 
 def test_a_power_law_loses_torque_by_a_constant_factor_per_decade():
-    p = read_rig("memory")
+    p = rig_named("memory")
     times_s, fractions = relaxation_spectrum(p)
     assert fractions.sum() == pytest.approx(p["memory.relaxing_share"])
     torque = [np.sum(fractions * np.exp(-t / times_s)) for t in (0.2, 2.0, 20.0)]
@@ -232,7 +218,7 @@ FORMS = {"bouc_wen": "default", "dahl": "test_a", "maxwell_slip": "memory"}
 
 def hysteresis(kind):
     """Function: torque of one section after a further bend, each of shape (2,)."""
-    rig = read_rig(FORMS[kind]).changed(**{"memory.hysteresis_share": FRACTION})
+    rig = rig_named(FORMS[kind]).changed(**{"memory.hysteresis_share": FRACTION})
     assert rig.structure.hysteresis == kind
     memory = [ca.SX.sym("z", 2) for _ in range(hysteresis_springs(rig))]
     du = ca.SX.sym("du", 2)

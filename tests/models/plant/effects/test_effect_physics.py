@@ -64,19 +64,6 @@ def test_a_dead_time_of_whole_steps_is_that_of_goals_sent_later(bench, slow, ste
         assert error < 0.02 * expected[name][200:].std(), name
 
 
-def test_the_phase_of_a_dead_time_changes_the_sampled_current_alone(bench, slow):
-    none, none_shifted, late, shifted = (
-        bench.run(["dead_time"], {"dead_time_1_s": dead_s, "dead_time_phase_1": shift},
-                  goal=slow, count=600)
-        for dead_s in (0.0, 0.02) for shift in (0.0, -0.5)
-    )  # fmt: skip
-    assert np.array_equal(none["current_1_a"], none_shifted["current_1_a"]), "no delay, no phase"
-    assert np.array_equal(late["angle_1_rad"], shifted["angle_1_rad"])
-    rate = np.gradient(late["angle_1_rad"], bench.step_s)[200:]
-    above = (shifted["current_1_a"] - late["current_1_a"])[200:]
-    assert np.corrcoef(above, rate)[0, 1] > 0.95, "sooner after a jump the current is larger"
-
-
 @pytest.mark.parametrize(("dof", "change"), [(1, -0.4), (2, 0.25)])
 def test_a_changed_position_gain_is_a_loop_with_that_gain(bench, dof, change):
     effects, gain = ["position_gain_change"], "position_gain_1_per_s"
@@ -551,16 +538,6 @@ def test_a_lag_removes_the_saw_tooth_and_its_jump_restores_it(bench, lagged):
     restored = ramp_current_a(lagged, sensor_lag_1_s=0.05, sensor_lag_jump_1=-above)
     assert np.mean(filtered - sampled) == pytest.approx(above * change_a, rel=0.1)
     assert abs(np.mean(restored - sampled)) < 0.1 * above * change_a
-
-
-def test_behind_a_lag_the_phase_of_the_sample_does_not_matter(lagged):
-    sampled, filtered = (
-        [ramp_current_a(lagged, current_phase_1=phase, sensor_lag_1_s=lag_s).mean()
-         for phase in (0.1, 1.0)]
-        for lag_s in (0.0, 0.05)
-    )  # fmt: skip
-    assert np.ptp(sampled) > 0.1
-    assert np.ptp(filtered) < 0.01 * np.ptp(sampled)
 
 
 @pytest.mark.parametrize(
