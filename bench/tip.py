@@ -68,9 +68,7 @@ class Answer(NamedTuple):
     in_range: NDArray[np.bool_]
 
 
-def run_behind_servos(
-    bundle: ModelBundle, motion: str, seconds: float, rig: str = "default"
-) -> TipRun:
+def run_behind_servos(bundle: ModelBundle, motion: str, seconds: float, rig: str) -> TipRun:
     """Run the robot's loop with the rig behind the servos on the virtual line, then stop it."""
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:
         options = SilOptions(
@@ -90,7 +88,7 @@ def run_behind_servos(
     )  # fmt: skip
 
 
-def run_free_decay(dof: int, rig: str = "default") -> TipRun:
+def run_free_decay(dof: int, rig: str) -> TipRun:
     """Step a leaning link back on the rig and let it swing: goals that the loop's limits refuse."""
     case = TrialCase(Motion("decay", dof=dof), PAYLOAD_KG, trial=1, seed=SEED)
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:

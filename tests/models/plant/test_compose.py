@@ -113,13 +113,3 @@ def test_the_observer_at_rest_passes_no_subnormal_number():
     at_rest = dict(zip(names(model.states), x, strict=True))
     for name in ("joint_1_rad", "joint_rate_1_rad_s", "ramp_rate_1_rad_s"):
         assert at_rest[name] == 0.0
-
-
-def test_the_end_of_a_step_changes_no_ordinary_state_and_hides_no_nan():
-    model = read_plant().step_model(1, "twin")
-    p, u = model.parameter_values(), np.zeros(len(model.inputs))
-    x = np.random.default_rng(1).normal(size=len(model.states))
-    after = np.asarray(model.finish(x, u, p, STEP_S)).ravel()
-    np.testing.assert_array_equal(after, np.asarray(model.smooth_finish(x, u, p, STEP_S)).ravel())
-    x[names(model.states).index("joint_rate_1_rad_s")] = np.nan
-    assert np.isnan(np.asarray(model.finish(x, u, p, STEP_S))).any()

@@ -106,7 +106,7 @@ def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
 
 @pytest.mark.parametrize("wrt", [[], ["current_bias_1_a"]])
 def test_parameters_that_move_no_state_need_no_slope(bench, wrt):
-    model = bench.plant("current_bias").step_model(1, "twin")
+    model = read_plant().with_effects("current_bias").step_model(1, "twin")
     u = bench.inputs(model, 10)
     y, slopes = CompiledModel(model, wrt).derivatives(u, STEP_S)
     assert slopes.shape == (*y.shape, len(wrt))
