@@ -30,6 +30,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.core.console import DONE, NEGATIVE, Progress
 from firmware_py.core.errors import InputError
 
@@ -107,7 +108,7 @@ def tip(out: Path) -> list[Figure]:
 
     rows = []
     for dof in (1, 2):
-        measured = bench.measure(BUILD / f"bundle_{dof}dof", ["multisine"], False, "default")
+        measured = bench.measure(BUILD / f"bundle_{dof}dof", ["multisine"], "default")
         errors = measured["multisine"]["deployed"]["all"]
         paper_mm = 1e3 * measured["multisine"]["paper's polynomial"]["all"]["mean_m"]
         mean_mm, percent = 1e3 * errors["mean_m"], 100 * errors["coverage"]
@@ -147,9 +148,7 @@ def onnx(out: Path) -> list[Figure]:
 
 def loop(out: Path) -> list[Figure]:
     """Own work and own misses of the loop in real time."""
-    from dropstitch.__main__ import main
-
-    _quietly(main, "sil", "--bundle", str(BUILD / "bundle_2dof"), "--fmu",
+    _quietly("sil", "--bundle", str(BUILD / "bundle_2dof"), "--fmu",
              str(BUILD / "twin_2dof.fmu"), "--line", "socket", "--seconds", "60",
              "--out", str(out))  # fmt: skip
     timing = _read(out / "timing.json")
@@ -195,9 +194,7 @@ def sdk(out: Path) -> list[Figure]:
 
 def faults(out: Path) -> list[Figure]:
     """The fault campaign."""
-    from dropstitch.__main__ import main
-
-    _quietly(main, "faults", "--bundle", str(BUILD / "bundle_2dof"), "--fmu",
+    _quietly("faults", "--bundle", str(BUILD / "bundle_2dof"), "--fmu",
              str(BUILD / "twin_2dof.fmu"), "--out", str(out))  # fmt: skip
     counts = _read(out / "faults.json")["counts"]
     of = sum(counts.values())
@@ -210,12 +207,11 @@ def faults(out: Path) -> list[Figure]:
 def fmu(out: Path) -> list[Figure]:
     """A step of the exported twin, and its two interface types."""
     from bench.fmu_host import measure
-    from dropstitch.__main__ import main
 
     hosted = {dof: measure(BUILD / "plant.json", dof) for dof in (1, 2)}
     rows = []
     for dof, result in hosted.items():
-        checked = _quietly(main, "fmu", "check", str(BUILD / f"twin_{dof}dof.fmu"), "--json")
+        checked = _quietly("fmu", "check", str(BUILD / f"twin_{dof}dof.fmu"), "--json")
         step_us = json.loads(checked)["step_us"]["bare"]
         rows.append(Figure(
             f"fmu-step-{dof}dof", f"a step of 17 ms of the twin FMU in FMPy, {dof}DOF", step_us,
@@ -301,7 +297,7 @@ def plans(out: Path) -> list[Figure]:
 
     rows = []
     for dof in (1, 2):
-        cases = measure(BUILD, [dof], ["as identified"])
+        cases = measure(BUILD, [dof])
         worst = max(cases, key=lambda case: case["unknown_m"])
         rms_mm, known_mm, rigid_mm = (1e3 * worst[f"{k}_m"] for k in ("unknown", "known", "rigid"))
         path = "line" if dof == 1 else "circle"
@@ -328,12 +324,10 @@ def link(out: Path) -> list[Figure]:
 
 def campaign(out: Path) -> list[Figure]:
     """Throughput of a campaign on both executors, and what a case costs beside its run."""
-    from dropstitch.__main__ import main
-
     rows = []
     for executor, words in (("processes", "two processes"), ("dask", "a dask cluster of two")):
         start_s = time.monotonic()
-        _quietly(main, "campaign", "docs/campaigns/payload-and-loss.toml", "--workers", "2",
+        _quietly("campaign", "docs/campaigns/payload-and-loss.toml", "--workers", "2",
                  "--executor", executor, "--out", str(out / executor))  # fmt: skip
         wall_s = time.monotonic() - start_s
         with (out / executor / "costs.csv").open(encoding="utf-8", newline="") as file:
@@ -494,11 +488,11 @@ def write_pages(document: dict[str, Any]) -> None:
         fresh.replace(path)
 
 
-def _quietly(command: Callable[[list[str]], int], *arguments: str) -> str:
+def _quietly(*arguments: str) -> str:
     """Output of a command of this project; verdicts (exit codes 1 and 3) are no errors."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
-        code = command(list(arguments))
+        code = dropstitch(list(arguments))
     if code not in (0, 1, 3):
         raise RuntimeError(f"{arguments[0]} ended with exit code {code}")
     return out.getvalue()

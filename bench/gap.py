@@ -23,14 +23,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
-from bench.rates import rate
 from firmware_py.core.console import DONE, NEGATIVE
 from firmware_py.core.errors import InputError
 from models.gap.training.case_runs import DataSetRecord, effects_of, records_of, run_cases
 from models.gap.training.cases import hidden_cases
 from models.gap.training.fit import calibration_table
 from models.rig.drawn import rig_named
+
+
+def rate(rows: Sequence[bool]) -> dict[str, Any]:
+    """Fraction of true rows, its Clopper-Pearson 95 % interval, and the number of rows."""
+    if not rows:
+        return {"of": 0}
+    interval = binomtest(sum(rows), len(rows)).proportion_ci(0.95, method="exact")
+    return {
+        "fraction": sum(rows) / len(rows),
+        "interval": [float(interval.low), float(interval.high)],
+        "of": len(rows),
+    }
 
 
 def is_class_right(record: DataSetRecord) -> bool:

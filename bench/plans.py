@@ -1,8 +1,8 @@
 """Plans for the tip on the rig, by the robot's loop, beside goals of rigid kinematics.
 
 A line (1DOF) or a circle (2DOF) of 0.45 m, with the plan's feedback: payload known, and estimated
-in the second run. Behind the servos is the rig that the plant was identified on, or one with a
-fifth more stiffness or damping than the plant believes. Prints and writes OUT/plans.json.
+in the second run. Behind the servos is the rig that the plant was identified on. Prints and writes
+OUT/plans.json.
 
     python -m bench.plans --build build --out build/bench
 """
@@ -28,7 +28,6 @@ from hil.sil.tip_errors import path_errors, tip_of_runs_m
 from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import Method, PlanRequest, plan_path
 from models.plant.plant import read_plant
-from models.rig.parameters import read_rig
 
 SERVO: Final = "H54-200-S500-R(A)"
 """With a bus watchdog, so that the full limit of the rate holds."""
@@ -42,16 +41,6 @@ PATHS: Final = {
     2: ("circle", PathOptions(size_m=0.45, seconds=6.0)),
 }
 """Path by number of joints."""
-LARGER: Final = 1.2
-RIGS: Final[dict[str, dict[str, str]]] = {
-    "as identified": {},
-    "more stiffness": {
-        "stiffness.root_nm_rad": "N.m/rad", "stiffness.bending_n_m2": "N.m2",
-        "stiffness.wall_shear_n": "N",
-    },
-    "more damping": {"stiffness.damping_s": "s"},
-}  # fmt: skip
-"""Parameters of the rig that are a fifth larger, with their units."""
 
 
 def plan(build: Path, dof: int, method: Method) -> TipPlan:
@@ -66,14 +55,12 @@ def plan(build: Path, dof: int, method: Method) -> TipPlan:
     return plan_path(built_in_path(name, dof, period_s, options), request)
 
 
-def rms_m(
-    plan: TipPlan, bundle: ModelBundle, rig: str, payload_kg: float, known: bool, runs: int
-) -> float:
+def rms_m(plan: TipPlan, bundle: ModelBundle, payload_kg: float, known: bool, runs: int) -> float:
     """Distance of the true tip from the path in the last run, rest and ways included."""
     with tempfile.TemporaryDirectory(prefix="dropstitch-plans-") as scratch:
         options = SilOptions(
             bundle=bundle, model=model_named(SERVO), out=Path(scratch),
-            rig=RigSource({}, SEED, rig), line="virtual", seconds=runs * plan.duration_s,
+            rig=RigSource({}, SEED, "default"), line="virtual", seconds=runs * plan.duration_s,
             payload_kg=payload_kg, payload_known=known, plan=plan, seed=SEED,
         )  # fmt: skip
         result = run_sil(options)
@@ -83,40 +70,21 @@ def rms_m(
     return errors[-1].rms_m
 
 
-def rig_file(name: str, directory: Path) -> str:
-    """Name of the default rig, or file of one whose parameters are larger."""
-    if not RIGS[name]:
-        return "default"
-    values = read_rig("default")
-    lines = [f'summary = "{name}"', 'purpose = "tuning"', "[structure]"]
-    for parameter, unit in RIGS[name].items():
-        lines += [
-            f"[{parameter}]", f"value = {LARGER * values[parameter]!r}", f'unit = "{unit}"',
-            'source = "assumed: a fifth more than the plant believes"',
-        ]  # fmt: skip
-    path = directory / f"{name.replace(' ', '_')}.toml"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return str(path)
-
-
-def measure(build: Path, joints: Sequence[int], rigs: Sequence[str]) -> list[dict[str, Any]]:
-    """RMS distance from the path by number of joints, rig and payload."""
+def measure(build: Path, joints: Sequence[int]) -> list[dict[str, Any]]:
+    """RMS distance from the path by number of joints and payload."""
     cases: list[dict[str, Any]] = []
-    progress = Progress("plans", len(joints) * len(rigs) * len(RUN_KG))
+    progress = Progress("plans", len(joints) * len(RUN_KG))
     for dof in joints:
         bundle = ModelBundle.load(build / f"bundle_{dof}dof")
         rigid, inverse = plan(build, dof, "rigid"), plan(build, dof, "inverse")
-        for name in rigs:
-            with tempfile.TemporaryDirectory() as scratch:
-                rig = rig_file(name, Path(scratch))
-                for kg in RUN_KG:
-                    cases.append({
-                        "dof": dof, "rig": name, "payload_kg": kg,
-                        "rigid_m": rms_m(rigid, bundle, rig, kg, True, 1),
-                        "known_m": rms_m(inverse, bundle, rig, kg, True, 1),
-                        "unknown_m": rms_m(inverse, bundle, rig, kg, False, 2),
-                    })  # fmt: skip
-                    progress.step(f"{dof}DOF, {name}, {kg:g} kg")
+        for kg in RUN_KG:
+            cases.append({
+                "dof": dof, "payload_kg": kg,
+                "rigid_m": rms_m(rigid, bundle, kg, True, 1),
+                "known_m": rms_m(inverse, bundle, kg, True, 1),
+                "unknown_m": rms_m(inverse, bundle, kg, False, 2),
+            })  # fmt: skip
+            progress.step(f"{dof}DOF, {kg:g} kg")
     return cases
 
 
@@ -129,9 +97,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--build", type=Path, default=Path("build"), help="plant and bundles")
     parser.add_argument("--out", type=Path, default=Path("build/bench"))
     parser.add_argument("--dof", type=int, nargs="+", choices=(1, 2), default=[1, 2])
-    parser.add_argument("--rigs", nargs="+", choices=RIGS, default=list(RIGS))
     args = parser.parse_args(argv)
-    text = json.dumps(measure(args.build, args.dof, args.rigs), indent=1) + "\n"
+    text = json.dumps(measure(args.build, args.dof), indent=1) + "\n"
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "plans.json").write_text(text, encoding="utf-8")
     print(text, end="")

@@ -3,9 +3,7 @@
 1.3 kg, a link of the rig's variation, and motions that nothing was trained on (triangle, steps), or
 one that was trained on with other payloads and links (multisine); a multisine that is stopped on
 its way; a free decay. Beside the bundle's predictor: the paper's polynomial and the observer's tip.
-With --wrong the same with an observer whose stiffness or damping is 20 % off, and with effects
-hidden in the rig. Another rig needs a bundle that was trained on trials of it. Writes
-OUT/tip_DOFdof.json.
+Another rig needs a bundle that was trained on trials of it. Writes OUT/tip_DOFdof.json.
 
     python -m bench.tip build/bundle_1dof --out build/bench
 """
@@ -15,8 +13,8 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -49,20 +47,12 @@ SECONDS: Final = {"multisine": 20.0, "triangle": 20.0, "steps": 37.0}
 STOPPED_S: Final = 8.0
 """Time at which a multisine is stopped on its way."""
 PARTS: Final = ("all", "rest", "motion", "glide", "stop", "free decay")
-HIDDEN: Final = {
-    "stiffness_softening": 0.15, "hysteresis": 0.3, "creep": 0.3, "backlash": 0.006,
-    "prebend": 0.01, "unmodelled_payload": 0.3,
-}  # fmt: skip
-"""Effects hidden in the rig, in turn, one run of the multisine each."""
-WRONG: Final = (("stiffness", 0.8), ("stiffness", 1.2), ("damping", 0.8), ("damping", 1.2))
-"""Plants of the observer that are wrong, and by what factor."""
 
 
 @dataclass(frozen=True)
 class TipRun:
     """What the robot measured in a run, and the true tip: NaN where a tick had no fresh data."""
 
-    name: str
     step_s: float
     angle_rad: Array
     current_a: Array
@@ -78,22 +68,19 @@ class Answer(NamedTuple):
     in_range: NDArray[np.bool_]
 
 
-def run_behind_servos(
-    bundle: ModelBundle, motion: str, seconds: float,
-    hidden: Mapping[str, float] | None = None, rig: str = "default",
-) -> TipRun:  # fmt: skip
+def run_behind_servos(bundle: ModelBundle, motion: str, seconds: float, rig: str) -> TipRun:
     """Run the robot's loop with the rig behind the servos on the virtual line, then stop it."""
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:
         options = SilOptions(
             bundle=bundle, model=model_named(SERVO), out=Path(scratch),
-            rig=RigSource(dict(hidden or {}), SEED, rig), line="virtual", seconds=seconds,
+            rig=RigSource({}, SEED, rig), line="virtual", seconds=seconds,
             payload_kg=PAYLOAD_KG, motion=MotionConfig().with_motion(motion), seed=SEED,
         )  # fmt: skip
         result = run_sil(options)
     records, joints = result.records, range(1, bundle.manifest.dof + 1)
     stopping = records["state"] >= SafetyState.STOPPING
     return TipRun(
-        motion, bundle.manifest.period_s,
+        bundle.manifest.period_s,
         np.column_stack([records[f"angle_{j}_rad"] for j in joints]),
         np.column_stack([records[f"current_{j}_a"] for j in joints]),
         true_tip_m(records, result.outcome.truth),
@@ -101,7 +88,7 @@ def run_behind_servos(
     )  # fmt: skip
 
 
-def run_free_decay(dof: int, rig: str = "default") -> TipRun:
+def run_free_decay(dof: int, rig: str) -> TipRun:
     """Step a leaning link back on the rig and let it swing: goals that the loop's limits refuse."""
     case = TrialCase(Motion("decay", dof=dof), PAYLOAD_KG, trial=1, seed=SEED)
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:
@@ -110,7 +97,7 @@ def run_free_decay(dof: int, rig: str = "default") -> TipRun:
     step_rad = np.abs(np.diff(trial.goal_rad, axis=0, prepend=0.0)).max(axis=1)
     moving = np.arange(len(trial)) >= trial.meta.rest_samples
     part = np.where(moving, np.where(step_rad < 1e-6, "free decay", "motion"), "rest")
-    return TipRun("decay", trial.step_s, trial.angle_rad, trial.current_a, trial.tip_m, part)
+    return TipRun(trial.step_s, trial.angle_rad, trial.current_a, trial.tip_m, part)
 
 
 class Contenders:
@@ -125,17 +112,11 @@ class Contenders:
             "paper's polynomial": OnnxPredictor(bundle / POLYNOMIAL, dof),
         }
 
-    def wrong_plant(self, what: str, factor: float) -> dict[str, float]:
-        """All stiffnesses or dampings of the observer, times a factor."""
-        parameters = self._observer.model.parameters
-        return {v.name: factor * v.start for v in parameters if f"_{what}_" in v.name}
-
-    def answers(self, run: TipRun, changes: Mapping[str, float] | None = None) -> dict[str, Answer]:
-        """Answer of every contender to a run, with parameters of the observer changed."""
-        model = self._observer.model
+    def answers(self, run: TipRun) -> dict[str, Answer]:
+        """Answer of every contender to a run."""
         measured = np.column_stack([run.angle_rad, run.current_a])
-        y = self._observer.simulate(measured, run.step_s, model.parameter_values(changes))[1:]
-        signals = dict(zip(names(model.outputs), y.T, strict=True))
+        y = self._observer.simulate(measured, run.step_s)[1:]
+        signals = dict(zip(names(self._observer.model.outputs), y.T, strict=True))
         tips = {}
         for name, graph in self._graphs.items():
             rows = np.array([signals[signal] for signal in graph.wanted]).reshape(-1, len(y)).T
@@ -179,37 +160,24 @@ def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
     return result
 
 
-def measure(bundle: Path, motions: Sequence[str], wrong: bool, rig: str) -> dict[str, Any]:
+def measure(bundle: Path, motions: Sequence[str], rig: str) -> dict[str, Any]:
     """Figures by run, contender and part."""
     loaded = ModelBundle.load(bundle)
     dof = loaded.manifest.dof
     contenders = Contenders(bundle, dof)
-    progress, runs = Progress(f"tip {dof}DOF", len(motions) + (len(HIDDEN) if wrong else 0)), []
+    progress, document = Progress(f"tip {dof}DOF", len(motions)), {}
     for motion in motions:
         if motion == "decay":
-            runs.append(run_free_decay(dof, rig))
+            run = run_free_decay(dof, rig)
         elif motion == "stopped":
-            stopped = run_behind_servos(loaded, "multisine", STOPPED_S, rig=rig)
-            runs.append(replace(stopped, name="stopped"))
+            run = run_behind_servos(loaded, "multisine", STOPPED_S, rig)
         else:
-            runs.append(run_behind_servos(loaded, motion, SECONDS[motion], rig=rig))
+            run = run_behind_servos(loaded, motion, SECONDS[motion], rig)
+        document[motion] = {
+            name: figures(run, answer) for name, answer in contenders.answers(run).items()
+        }
         progress.step(motion)
-    document = {run.name: _of(run, contenders.answers(run)) for run in runs}
-    if wrong:
-        for what, factor in WRONG:
-            changes = contenders.wrong_plant(what, factor)
-            for run in runs:
-                name = f"{run.name}, observer's {what} x {factor}"
-                document[name] = _of(run, contenders.answers(run, changes))
-        for effect, strength in HIDDEN.items():
-            run = run_behind_servos(loaded, "multisine", 20.0, {effect: strength}, rig)
-            document[f"multisine, {effect}={strength} hidden"] = _of(run, contenders.answers(run))
-            progress.step(effect)
     return document
-
-
-def _of(run: TipRun, answers: Mapping[str, Answer]) -> dict[str, Any]:
-    return {name: figures(run, answer) for name, answer in answers.items()}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -223,9 +191,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("build/bench"), help="build/bench")
     parser.add_argument("--rig", default="default", help="structure behind the servos (default)")
     parser.add_argument("--motions", nargs="+", default=motions, choices=motions)
-    parser.add_argument("--wrong", action="store_true", help="wrong observers and hidden effects")
     args = parser.parse_args(argv)
-    document = measure(args.bundle, args.motions, args.wrong, args.rig)
+    document = measure(args.bundle, args.motions, args.rig)
     print(f"{'':50}{'mean, mm':>10}{'largest':>9}{'covers, %':>11}{'in range, %':>13}")
     for run, by_contender in document.items():
         for name, by_part in by_contender.items():

@@ -371,7 +371,7 @@ def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
     """Bode plot of the loop of every joint, one curve for each payload."""
     if plan.feedback is None:
         return []
-    grid, twins = plan.grid_kg.tolist(), LinearTwins(plant, plan.dof, plan.period_s)
+    grid, twins = plan.grid_kg.tolist(), LinearTwins(plant.step_model(plan.dof), plan.period_s)
     loops = [
         open_loops(filters, tip_responses(twins, payload_kg), plan.period_s)
         for filters, payload_kg in zip(plan.feedback.filters, grid, strict=True)

@@ -59,7 +59,7 @@ def linear_parts(plant: Plant) -> list[Part]:
     """Bode plot of the twin from the goal of joint 1 to tip x, and its modes, by payload."""
     heaviest_kg = (plant.link or STUDY_LINK).payload_kg
     payloads_kg = list(dict.fromkeys([0.0, heaviest_kg / 2, heaviest_kg]))
-    twins = LinearTwins(plant, 1, PERIOD_S)
+    twins = LinearTwins(plant.step_model(1), PERIOD_S)
     frequency_hz = np.geomspace(0.1, 0.9 * 0.5 / PERIOD_S, 400)
     z = np.exp(2j * np.pi * frequency_hz * PERIOD_S)
     curves, marks, legend, rows = [], [], [], list[list[Cell]]()

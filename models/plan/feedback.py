@@ -96,7 +96,7 @@ def with_feedback(
 def design_feedback(
     plant: Plant, dof: int, period_s: float, payloads_kg: Sequence[float]
 ) -> FeedbackDesign:
-    twins = LinearTwins(plant, dof, period_s)
+    twins = LinearTwins(plant.step_model(dof), period_s)
     filters, margins = [], []
     for payload_kg in payloads_kg:
         plants = tip_responses(twins, payload_kg)

@@ -248,7 +248,7 @@ def _comparison_goals(pointing_rad: Array, line: Timeline, request: PlanRequest)
     `pointing_rad`, shape (n, dof): goals at which the rigid link points at the desired tip.
     """
     period_s, tables = request.period_s, []
-    twins = LinearTwins(request.plant, request.dof, period_s)
+    twins = LinearTwins(request.plant.step_model(request.dof), period_s)
     for payload_kg in request.payloads_kg:
         table = pointing_rad.copy()
         for first, after in line.moves:

@@ -23,7 +23,7 @@ from firmware_py.goals.tip_plan import as_columns
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
 from models.plan.tip_twin import MOVING_RAD_S, TipTwin, TwinRun
-from models.plant.linear_twin import STIFFNESS, linearise, link_modes
+from models.plant.linear_twin import STIFFNESS, link_modes
 from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
 def design_probe(
     plant: Plant, twin: TipTwin, payloads_kg: Sequence[float], limits: Limits
 ) -> ProbeDesign:
-    linear = linearise(plant, payloads_kg[-1], dof=twin.dof, period_s=twin.period_s)
+    linear = plant.linearise(payloads_kg[-1], dof=twin.dof, period_s=twin.period_s)
     # Modes that the tones can excite, by their damping ratio [assumed]
     light = [m.frequency_rad_s for m in link_modes(linear) if m.damping < 0.3]
     mode_rad_s = min(light, default=np.inf)

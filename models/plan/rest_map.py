@@ -44,7 +44,7 @@ def map_rest(
     plant: Plant, dof: int, period_s: float, payloads_kg: Sequence[float], reach_m: float
 ) -> tuple[GoalMap, list[list[LinearMode]]]:
     """Map of the goals, and the first mode of the link along each axis, by payload."""
-    twin, linear = TipTwin(plant, dof, period_s), LinearTwins(plant, dof, period_s)
+    twin, linear = TipTwin(plant, dof, period_s), LinearTwins(plant.step_model(dof), period_s)
     places = np.linspace(-reach_m, reach_m, PLACES[dof])
     modes = [resting_modes(linear, payload_kg) for payload_kg in payloads_kg]
     goal_map = GoalMap(

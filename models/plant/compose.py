@@ -28,7 +28,6 @@ import casadi as ca
 
 from firmware_py.core.signals import PAYLOAD
 from models.plant.components.drive import TORQUE_UNIT, Drive, current_limit, declare_presliding
-from models.plant.components.goal import declare_step_length
 from models.plant.components.load import PlantLoad
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
@@ -96,7 +95,7 @@ def compose_driven(
             outputs[effort] = variable, scope.current[j]
         outputs = lag_outputs(scope, outputs | load.outputs(scope))
     else:
-        step_s = declare_step_length(scope)
+        step_s = scope.step_length()
         for j in scope.joints:
             variable, sampled = current_variable(j), drive.sampled_current(scope, j, step_s)
             sampled = _current_at_phase(scope, j, sampled)
@@ -183,7 +182,7 @@ def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
     """Add the measured angles as inputs; set angle, rate and acceleration by the filter."""
     apply_effects(scope, ("sensor",), effects)
     unit, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
-    step_s, states = declare_step_length(scope), scope.states
+    step_s, states = scope.step_length(), scope.states
     for j in scope.joints:
         true = scope.true_angle(j, scope.input(angle_variable(scope, j)))
         ramp = scope.state(Variable(f"ramp_{j}_{unit}", unit, nominal=0.5), true)
@@ -355,10 +354,10 @@ def _sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
     """Outputs with every measured current as it is sampled at a phase of the step.
 
     The currents in `outputs` are those at the end of the step, after the low-pass if any. The drive
-    computes the saw-tooth of a goal that jumps (`models.plant.components.goal`); a low-pass keeps
-    its part in phase at the frequency of the steps. The rest of the current changes little within a
-    step, so it is interpolated between the ends of the step. A servo limits the current at every
-    moment, so the sample is clipped to the sensor's reading at the limit. The motion does not
+    computes the saw-tooth of a goal that jumps (`models.plant.components.cascade`); a low-pass
+    keeps its part in phase at the frequency of the steps. The rest of the current changes little
+    within a step, so it is interpolated between the ends of the step. A servo limits the current at
+    every moment, so the sample is clipped to the sensor's reading at the limit. The motion does not
     depend on the sample.
     """
     result = dict(outputs)
@@ -368,7 +367,7 @@ def _sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
         if j in scope.sampling:
             above = (1 + scope.current_scale[j]) * scope.sampling[j].above_end
             if j in scope.sensor_lag and _lagged_output(scope, outputs, j) == name:
-                turn = 2 * math.pi * scope.sensor_lag[j].time_s / declare_step_length(scope)
+                turn = 2 * math.pi * scope.sensor_lag[j].time_s / scope.step_length()
                 above *= 1 / (1 + turn**2)
             value = _within_limit(scope, j, value + above)
             # Clipped again: the line between two samples at the limit may round beyond it.

@@ -14,17 +14,10 @@ import casadi as ca
 import control
 import numpy as np
 import scipy.linalg
-from numpy.typing import ArrayLike, NDArray
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.signals import PERIOD_S
-from models.plant.parameter import check_payload
-from models.plant.plant import Plant
-from models.plant.step_model import names
+from models.plant.step_model import Array, StepModel, names
 
-Array = NDArray[np.float64]
-MOST_ANGLE_RAD: Final = math.radians(90.0)
-"""Largest angle: beyond a right angle the arm leans back over its mount [assumed]."""
 DRY_FRICTION: Final = (
     "coulomb_friction_", "load_dependent_friction_", "stribeck_friction_", "stiction_",
 )  # fmt: skip
@@ -33,43 +26,11 @@ STIFFNESS: Final = ("root_stiffness_", "span_stiffness_")
 """Prefixes of the parameters that scale with the stiffness of the link."""
 
 
-def linearise(
-    plant: Plant,
-    payload_kg: float = 0.0,
-    *,
-    dof: int = 1,
-    period_s: float = PERIOD_S,
-    angles_rad: ArrayLike | None = None,
-    sliding: bool = True,
-) -> control.StateSpace:
-    """Twin of a plant linearised about rest: a sampled system from the goals to its outputs.
-
-    The arm rests at goals of `angles_rad` (dof,), by default zero. `sliding` leaves dry friction
-    out, as while the joints move. A plant other than the link, or a payload that it cannot carry,
-    is refused.
-    """
-    if plant.load != "link":
-        raise InputError(f"plant {plant.name!r}", "is not the link", "name a plant of the link")
-    check_payload(payload_kg, link=plant.link)
-    if not 1e-3 <= period_s <= 1.0:
-        raise InputError("period", f"is {period_s:g} s", "give 0.001 to 1 s")
-    angles = None if angles_rad is None else np.asarray(angles_rad, dtype=np.float64)
-    if angles is not None:
-        degrees = np.rad2deg(angles).round(6).tolist()
-        if angles.shape != (dof,):
-            raise InputError("angles", f"are {degrees}°", f"give {dof}, one per joint")
-        if not (np.abs(angles) <= MOST_ANGLE_RAD).all():
-            limit = f"{math.degrees(MOST_ANGLE_RAD):g}° at most"
-            raise InputError("angles", f"are {degrees}°", f"give {limit}")
-    return LinearTwins(plant, dof, period_s).at(payload_kg, angles, sliding=sliding)
-
-
 class LinearTwins:
-    """Linearisations of one plant's twin at several payloads; see `linearise`."""
+    """Linearisations of a link's twin at several payloads."""
 
-    def __init__(self, plant: Plant, dof: int, period_s: float) -> None:
-        model = plant.step_model(dof)
-        self.dof, self.period_s, self._model = dof, period_s, model
+    def __init__(self, model: StepModel, period_s: float) -> None:
+        self.dof, self.period_s, self._model = len(model.inputs) - 1, period_s, model
         x, u = ca.MX.sym("x", len(model.states)), ca.MX.sym("u", len(model.inputs))
         p = ca.MX.sym("p", len(model.parameters))
         state, count = model.begin(x, u, p, period_s), model.substeps(period_s)
@@ -89,7 +50,10 @@ class LinearTwins:
         sliding: bool = True,
         stiffness: float = 1.0,
     ) -> control.StateSpace:
-        """Twin linearised about rest; `stiffness` is a factor on that of the link."""
+        """Twin linearised about rest at goals of `angles_rad` (dof,), by default zero.
+
+        `stiffness` is a factor on that of the link.
+        """
         model, dof = self._model, self.dof
         changes = {v.name: stiffness * v.start for v in model.parameters
                    if v.name.startswith(STIFFNESS)}  # fmt: skip

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
+import numpy as np
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_toml
@@ -37,7 +39,7 @@ from models.plant.document import (
 )
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects, in_order
 from models.plant.observer import OBSERVER_PARAMETERS, compose_observer
-from models.plant.parameter import Parameter, check_values, parameter_of_link
+from models.plant.parameter import Parameter, check_payload, check_values, parameter_of_link
 from models.plant.scope import Scope, variable_of, without_values
 from models.plant.step_model import StepModel
 from models.shared.link_scale import LinkScale
@@ -50,6 +52,10 @@ NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""
 
 ModelKind = Literal["twin", "observer", "driven"]
+
+MOST_ANGLE_RAD: Final = math.radians(90.0)
+"""Largest angle at which a twin is linearised: beyond a right angle the arm leans back over its
+mount [assumed]."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -159,13 +165,23 @@ class Plant:
         >>> system.dt, system.input_labels
         (0.017, ['goal_1_rad'])
         """
-        from models.plant.linear_twin import linearise  # loads python-control
+        from models.plant.linear_twin import LinearTwins  # loads python-control
 
+        if self.load != "link":
+            raise InputError(f"plant {self.name!r}", "is not the link", "name a plant of the link")
         if payload_kg is None:
             payload_kg = (self.link or STUDY_LINK).payload_kg / 2
-        return linearise(
-            self, payload_kg, dof=dof, period_s=period_s, angles_rad=angles_rad, sliding=sliding
-        )
+        check_payload(payload_kg, link=self.link)
+        if not 1e-3 <= period_s <= 1.0:
+            raise InputError("period", f"is {period_s:g} s", "give 0.001 to 1 s")
+        angles = np.zeros(dof) if angles_rad is None else np.asarray(angles_rad, dtype=np.float64)
+        degrees = np.rad2deg(angles).round(6).tolist()
+        if angles.shape != (dof,):
+            raise InputError("angles", f"are {degrees}°", f"give {dof}, one per joint")
+        if not (np.abs(angles) <= MOST_ANGLE_RAD).all():
+            limit = f"{math.degrees(MOST_ANGLE_RAD):g}° at most"
+            raise InputError("angles", f"are {degrees}°", f"give {limit}")
+        return LinearTwins(self.step_model(dof), period_s).at(payload_kg, angles, sliding=sliding)
 
     def step_model(
         self, dof: int, kind: ModelKind = "twin", *, with_age: bool = False

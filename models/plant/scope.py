@@ -73,6 +73,7 @@ class CurrentSampling:
     goal_change: Expr  # Change of the goal in this step
     smooth_goal: Callable[[], Expr]  # Declares the goal on the line through its steps' middles
     delay: DelayedStaircase | None = None  # Delay of the goal, if an effect has one
+    rate_change: Expr = 0  # Change of the goal's rate since the previous step
     jump_per_rate: Expr = 0  # Jump of the current per rate of a goal
     above_end: Expr = 0  # Sampled current minus the current at the end of the step
 
@@ -180,6 +181,10 @@ class Scope:
         """Symbol of the parameter with this `name`."""
         return self.parameters[self.name(pattern, joint)][1]
 
+    def has(self, pattern: str, joint: int | None = None) -> bool:
+        """Whether the parameter with this `name` is not fixed at zero."""
+        return self.name(pattern, joint) not in self.absent
+
     def input(self, variable: Variable) -> Expr:
         """Add an input and return its symbol."""
         symbol = ca.SX.sym(variable.name)
@@ -191,6 +196,13 @@ class Scope:
         symbol = ca.SX.sym(variable.name)
         self.states[variable.name] = StateVariable(variable, symbol, initial)
         return symbol
+
+    def step_length(self) -> Expr:
+        """Length of the step as a state, for outputs and rates; added if there is none yet."""
+        if "step_s" not in self.states:
+            self.state(Variable("step_s", "s", nominal=0.017), 1.0)
+            self.states["step_s"].begin = self.step_s
+        return self.states["step_s"].symbol
 
     def measured_angle(self, joint: int) -> Expr:
         """Joint coordinate as the encoder measures it."""

@@ -19,10 +19,11 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_toml
 from firmware_py.link.link_description import describes_link, read_link
 from models.rig.parameters import (
+    STRUCTURES,
     RigParameters,
     RigStructure,
     named_structures,
-    read_rig,
+    read_parameters,
     rig_of_link,
 )
 
@@ -87,13 +88,13 @@ def rig_named(name: str) -> RigParameters:
     Parameters
     ----------
     name : str
-        Name or file for `models.rig.parameters.read_rig`; `drawn_K` for the K-th drawn rig; or
-        the file of a link (`firmware_py.link.link_description`).
+        Name of a structure; `drawn_K` for the K-th drawn rig; or a file: of a rig, or of a link
+        (`firmware_py.link.link_description`).
 
     Raises
     ------
     InputError
-        If K is not a number, or `read_rig` fails.
+        If K is not a number, or the file is missing or damaged.
 
     Examples
     --------
@@ -105,12 +106,13 @@ def rig_named(name: str) -> RigParameters:
     path = Path(name)
     if path.is_file() and describes_link(read_toml(path, "name a rig or a link")):
         return rig_of_link(read_link(path), path)
-    return read_rig(name)
+    structure = STRUCTURES / f"{name}.toml"
+    return read_parameters(structure if structure.is_file() else path)
 
 
 def _drawn_rig(number: int) -> RigParameters:
     """Rig drawn around the values of the study's."""
-    rig, rng = read_rig("default"), np.random.default_rng([SEED, number])
+    rig, rng = rig_named("default"), np.random.default_rng([SEED, number])
     values = {
         name: rig[name] * float(np.exp(sigma * rng.standard_normal()))
         for name, sigma in LOG_DEVIATION.items()

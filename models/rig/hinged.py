@@ -335,23 +335,15 @@ if mujoco.get_mju_user_warning() is None:  # else each goes to a file in the wor
 
 
 class MujocoRig(Rig):
-    """`Rig` on MuJoCo.
-
-    Attributes
-    ----------
-    joints : ndarray
-        Addresses of the driven joints, (dof,).
-    hinges : ndarray
-        Addresses of the link's hinges, (n, 2), root first; the columns bend towards +x and +y.
-    pieces : slice
-        Ids of the bodies of the link's pieces.
-    """
+    """`Rig` on MuJoCo."""
 
     def __init__(self, parameters: RigParameters, dof: int, load: Load) -> None:
         p, pairs = parameters, parameters.structure.hinges + 1
         super().__init__(p, dof, p["world.step_s"])
         self.bending_law = BendLaw(p, self.step_s)
         self.model = model = robot_model(p, dof, load, self.bending_law.stiffness_nm_rad)
+        # Addresses of the driven joints (dof,) and of the hinges (n, 2): the root first, and
+        # the columns bend towards +x and +y.
         self.joints = np.array([model.joint(f"joint_{a}").dofadr[0] for a in "xy"[:dof]])
         self.hinges = np.array(
             [[model.joint(f"hinge{k}_{a}").dofadr[0] for a in AXES] for k in range(pairs)]
@@ -362,14 +354,14 @@ class MujocoRig(Rig):
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied_nm = self.data.qfrc_applied
         self._drives = list(zip(self.servos, self.joints.tolist(), strict=True))
-        self.pieces = slice(model.body("link0").id, model.body(f"link{pairs - 1}").id + 1)
-        self._body_centres = self.data.xipos[self.pieces]
+        pieces = slice(model.body("link0").id, model.body(f"link{pairs - 1}").id + 1)
+        self._body_centres = self.data.xipos[pieces]
         self._centres = self._body_centres.copy()
         # Force per speed squared of each piece, such that 1 rad/s about joint 1 gives `drag_nm`;
         # the area of a uniform link is as its mass.
-        area, height = model.body_mass[self.pieces], self._centres[:, 2]
+        area, height = model.body_mass[pieces], self._centres[:, 2]
         self._drag = (p["world.drag_nm"] * (area / np.sum(area * height**3)))[:, None]
-        self._drag_n = self.data.xfrc_applied[self.pieces, :3]
+        self._drag_n = self.data.xfrc_applied[pieces, :3]
 
     @property
     def joint_rad(self) -> list[float]:

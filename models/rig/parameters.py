@@ -210,12 +210,6 @@ class RigParameters(Mapping[str, float]):
         return result
 
 
-def read_rig(rig: str) -> RigParameters:
-    """Read a rig by the name of its structure, or from a file."""
-    named = STRUCTURES / f"{rig}.toml"
-    return read_parameters(named if named.is_file() else Path(rig))
-
-
 def read_parameters(path: Path = RIG_TOML) -> RigParameters:
     """Read the parameters of a rig: a file changes values and structure of the project's rig.
 

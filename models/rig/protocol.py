@@ -98,15 +98,9 @@ def build_rig(
     eccentricity_m: tuple[float, float] = (0.0, 0.0),
     gravity: tuple[float, float, float] = DOWN,
 ) -> Rig:
-    """Build the engine that the rig's structure names.
+    """Build the engine that the rig's structure names; refuses one that lacks a joint or a choice.
 
     `eccentricity_m` is the offset of the payload's centre from the axis, towards +x and +y.
-
-    Raises
-    ------
-    InputError
-        If an effect is hidden in a joint that is not driven, or the structure has a choice of
-        another engine.
     """
     p = parameters
     for joint in (j for j in p.added_in_joint if j > dof):

@@ -140,11 +140,6 @@ class SmoothFriction:
         return factor * free / (1.0 + self._step_per_inertia * factor)
 
 
-def friction_form(parameters: RigParameters, step_s: float) -> LugreFriction | SmoothFriction:
-    form = LugreFriction if parameters.structure.friction == "lugre" else SmoothFriction
-    return form(parameters, step_s)
-
-
 def current_register(parameters: RigParameters, step_s: float) -> deque[float]:
     """Window of the current whose oldest value, or mean, the servo's register holds.
 
@@ -167,7 +162,8 @@ class RigServo:
             **{n.removeprefix("servo."): v for n, v in p.items() if n.startswith("servo.")}
         )
         self._goal = goal_form(p, step_s)
-        self._friction = friction_form(p, step_s)
+        friction = LugreFriction if structure.friction == "lugre" else SmoothFriction
+        self._friction = friction(p, step_s)
         self._register = current_register(p, step_s)
         self._mean_current = structure.current_sampling == "mean"
         self._rational = structure.stribeck == "rational"

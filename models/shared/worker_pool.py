@@ -21,7 +21,7 @@ THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextlib.contextmanager
-def worker_pool(processes: int, option: str = "--workers") -> Iterator[ProcessPoolExecutor]:
+def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     """Pool of spawned processes.
 
     If an exception leaves the body, also Ctrl-C or SIGTERM, the workers are terminated and lose
@@ -43,9 +43,9 @@ def worker_pool(processes: int, option: str = "--workers") -> Iterator[ProcessPo
             pool.shutdown(wait=False, cancel_futures=True)
             if isinstance(error, BrokenProcessPool):
                 raise InputError(
-                    f"{option} {processes}",
+                    f"--workers {processes}",
                     "one of the processes was killed, as happens where the memory runs out",
-                    f"free memory, or give fewer {option.strip('-')}",
+                    "free memory, or give fewer workers",
                 ) from None
             raise
 

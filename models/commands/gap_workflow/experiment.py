@@ -20,7 +20,7 @@ from firmware_py.safety.limits import Limits
 from models.commands.gap_workflow.gap import DIAGNOSIS_FILES
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
-from models.rig.parameters import read_rig
+from models.rig.drawn import rig_named
 from models.shared.catalogue import parse_strengths
 from models.shared.output_paths import check_output_directory, check_output_file
 from models.trials.checks.trials import read_usable_trials
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     trials = _trials(inputs, plant)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
     limits = _limits(args.config, trials[0].meta.dof)
-    rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
+    rig = rig_named(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.gap.experiment.experiment import experiment_in_words, rank_motions, write_motion
     from models.gap.experiment.experiment_page import write_experiment_page

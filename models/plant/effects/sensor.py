@@ -165,11 +165,11 @@ class SensorLag(Effect):
 
     def apply(self, scope: Scope) -> None:
         for j in scope.joints:
-            second = scope.name("sensor_lag_second_{j}", j)
+            second = "sensor_lag_second_{j}"
             shaped = "goal shape" in scope.features
             scope.sensor_lag[j] = SensorLowPass(
                 time_s=scope.p("sensor_lag_{j}_s", j),
-                second_share=None if second in scope.absent else scope.p(second),
+                second_share=scope.p(second, j) if scope.has(second, j) else None,
                 angle_s=scope.p("sensor_lag_angle_{j}_s", j),
                 jump_fraction=scope.p("sensor_lag_jump_{j}", j) if shaped else None,
             )

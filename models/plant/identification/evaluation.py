@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -311,18 +310,6 @@ def over_payloads(trials: Sequence[Trial], fractions: Sequence[float]) -> list[T
         last = len(same) - 1
         chosen += [same[k] for k in sorted({min(int(f * len(same)), last) for f in fractions})]
     return chosen
-
-
-def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
-    """Write the figure of `plot_fit` as SVG; return the path."""
-    from matplotlib import pyplot
-
-    from models.shared.drawing import FILE_STYLE
-
-    figure = plot_fit(plant, trials)
-    with pyplot.rc_context(FILE_STYLE):
-        figure.savefig(path, format="svg")
-    return path
 
 
 def plot_fit(plant: Plant, trials: Sequence[Trial]) -> Figure:

@@ -27,7 +27,7 @@ import numpy as np
 from firmware_py.bus.servo_models import ServoGains
 from firmware_py.core.errors import InputError
 from models.plant.components import LOADS
-from models.plant.components.goal import NO_ACCELERATION_LIMIT
+from models.plant.components.cascade import NO_ACCELERATION_LIMIT
 from models.plant.document import Evaluation, Provenance
 from models.plant.identification.doubts import doubts, refuse_other_links, torque_constant_doubts
 from models.plant.identification.evaluation import evaluate_plant, over_payloads, plot_fit

@@ -11,7 +11,7 @@ from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from models.commands import goalmap
 from models.plan.learning import RecordedRun
-from models.plant.linear_twin import linearise, modes
+from models.plant.linear_twin import modes
 from models.plant.plant import NOMINAL, read_plant
 from models.shared.output_paths import check_output_directory, check_output_file
 from models.trials.files import write_trial
@@ -207,7 +207,7 @@ def test_the_goal_map_states_the_mode_of_the_link_beside_a_slow_servo(
     assert run(*words) == 0
     ((half_period_s,),) = (p["half_period_s"] for p in json.loads(out.read_text())["payloads"])
     # With the stiff servo the link's mode is the slowest vibration.
-    slowest = next(m for m in modes(linearise(read_plant(), 0.0)) if m.damping < 0.5)
+    slowest = next(m for m in modes(read_plant().linearise(0.0)) if m.damping < 0.5)
     assert half_period_s == pytest.approx(slowest.half_period_s, rel=0.05)
     shown = capsys.readouterr()
     assert f"half period {half_period_s:.3f} s" in shown.out

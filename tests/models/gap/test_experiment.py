@@ -30,7 +30,7 @@ from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
-from models.rig.parameters import read_rig
+from models.rig.drawn import rig_named
 from models.rig.protocol import TrialCase, run_case
 from models.trials.files import write_trial
 from models.trials.trial import TrialSet
@@ -243,7 +243,7 @@ def smallest(kind):
 @pytest.fixture(scope="module")
 def rig_trial():
     case = TrialCase(Motion(amplitude_rad=0.3, period_s=2.6), 1.0, trial=1)
-    return run_case(read_rig("default"), case)
+    return run_case(rig_named("default"), case)
 
 
 @pytest.fixture

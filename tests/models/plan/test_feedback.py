@@ -28,7 +28,7 @@ def assert_stable(closed, twin):
 
 def test_every_loop_is_stable_and_keeps_6_db_and_45_degrees():
     """Filter, integrator, one period of delay, twin."""
-    twins = LinearTwins(read_plant(), 1, PERIOD_S)
+    twins = LinearTwins(read_plant().step_model(1), PERIOD_S)
     design = design_feedback(read_plant(), 1, PERIOD_S, PAYLOADS_KG)
     w = frequencies(PERIOD_S)
     for payload_kg, (filter_,) in zip(PAYLOADS_KG, design.filters, strict=True):
@@ -51,7 +51,7 @@ def test_both_loops_of_two_joints_are_stable_together_and_keep_their_margins():
     """Closed loop of two filters and the coupled twin by its poles; each margin by the response."""
     design = design_feedback(read_plant(), 2, PERIOD_S, (1.0,))
     assert [len(margins) for margins in design.margins] == [1, 1] and keeps_margins(design)
-    twin = LinearTwins(read_plant(), 2, PERIOD_S).at(1.0)
+    twin = LinearTwins(read_plant().step_model(2), PERIOD_S).at(1.0)
     filters = control.append(*(as_system(f, PERIOD_S) * INTEGRAL for f in design.filters[0]))
     unit = control.ss([], [], [], np.eye(2), True)
     assert_stable(control.feedback(tip_part(twin) * filters, unit), twin)

@@ -20,18 +20,20 @@ STEP_S = 0.017
 
 
 class Bench:
-    """The nominal link, without any effect but those asked for."""
+    """The nominal link with every effect at zero; a model of it is compiled once in a session."""
 
     step_s = STEP_S
 
-    def plant(self, *effects):
+    @functools.cached_property
+    def plant(self):
         nominal = read_plant()
         parameters = {n: q for n, q in nominal.parameters.items() if q.role != "effect"}
-        return replace(nominal, effects=(), parameters=parameters).with_effects(*effects)
+        plain = replace(nominal, effects=(), parameters=parameters)
+        return plain.with_effects(*nominal.applicable())
 
     @functools.cache  # noqa: B019 (one bench per session)
-    def compiled(self, effects, dof=1, kind="twin"):
-        return CompiledModel(self.plant(*effects).step_model(dof, kind))
+    def compiled(self, dof=1, kind="twin"):
+        return CompiledModel(self.plant.step_model(dof, kind))
 
     def inputs(self, model, count, goal=None, payload_kg=1.0):
         """Inputs by name; angles and currents of a measured unit are made up."""
@@ -43,12 +45,12 @@ class Bench:
             known[f"current_{j}_a"] = 3.0 * share * goal
         return np.column_stack([known[name] for name in names(model.inputs)])
 
-    def run(self, effects, changes=None, *, dof=1, kind="twin", count=300, **conditions):
-        """Outputs by name."""
-        compiled = self.compiled(tuple(effects), dof, kind)
-        u = self.inputs(compiled.model, count, **conditions)
+    def run(self, changes=None, *, dof=1, kind="twin", goal=None, payload_kg=1.0, step_s=STEP_S):
+        """Outputs by name, with these parameters."""
+        compiled = self.compiled(dof, kind)
+        u = self.inputs(compiled.model, 300 if goal is None else len(goal), goal, payload_kg)
         p = compiled.model.parameter_values(changes or {})
-        y = compiled.simulate(u, STEP_S, p)
+        y = compiled.simulate(u, step_s, p)
         return dict(zip(names(compiled.model.outputs), y.T, strict=True))
 
 

@@ -6,13 +6,13 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
-from models.plant.linear_twin import LinearTwins, linearise, link_modes, modes, resting_modes
+from models.plant.linear_twin import LinearTwins, link_modes, modes, resting_modes
 from models.plant.plant import read_plant
 
 
 @pytest.fixture(scope="module")
 def twins():
-    return LinearTwins(read_plant(), 1, PERIOD_S)
+    return LinearTwins(read_plant().step_model(1), PERIOD_S)
 
 
 def test_a_linear_twin_moves_like_the_twin(twins):
@@ -43,7 +43,7 @@ def test_a_slow_servo_that_swings_is_not_taken_for_the_link(
 ):
     """The poles of its loop are slower than the link, and damped by less than half."""
     gains = {"position_gain_1_per_s": position_gain, "velocity_gain_1_a_s_rad": velocity_gain}
-    slow = LinearTwins(read_plant().with_values(gains), 1, PERIOD_S)
+    slow = LinearTwins(read_plant().with_values(gains).step_model(1), PERIOD_S)
     slowest = next(m for m in modes(slow.at(payload_kg, sliding=False)) if m.damping < 0.5)
     assert slowest.frequency_rad_s < 2.0 and slowest.shares[0] < 0.05
     (mode,), (nominal,) = (resting_modes(t, payload_kg) for t in (slow, twins))
@@ -53,7 +53,7 @@ def test_a_slow_servo_that_swings_is_not_taken_for_the_link(
 
 def test_both_planes_of_two_joints_have_the_mode_of_one(twins):
     (one,) = resting_modes(twins, 1.0)
-    for mode in resting_modes(LinearTwins(read_plant(), 2, PERIOD_S), 1.0):
+    for mode in resting_modes(LinearTwins(read_plant().step_model(2), PERIOD_S), 1.0):
         assert mode.frequency_rad_s == pytest.approx(one.frequency_rad_s, rel=1e-3)
         assert mode.shares[0] > 0.9
 
@@ -61,6 +61,6 @@ def test_both_planes_of_two_joints_have_the_mode_of_one(twins):
 def test_only_the_link_is_linearised():
     plant = read_plant("models/plant/examples/emps_identified.json")
     with pytest.raises(InputError, match="is not the link"):
-        linearise(plant)
+        plant.linearise()
     with pytest.raises(InputError, match="is 9 kg; give 0 to 3 kg"):
-        linearise(read_plant(), 9.0)
+        read_plant().linearise(9.0)

@@ -1,7 +1,6 @@
 """Plant and rig of a described link: values, bounds, payloads and markers follow the link."""
 
 import json
-from argparse import Namespace
 from dataclasses import replace
 
 import msgspec
@@ -10,9 +9,14 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
-from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity, LinkServo
+from firmware_py.link.link_description import (
+    STUDY_LINK,
+    LinkDescription,
+    LinkGravity,
+    LinkServo,
+    link_toml,
+)
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from models.commands.simulate import _cases
 from models.plan.planning import check_grid
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.parameter import check_payload
@@ -122,16 +126,11 @@ def test_payloads_beyond_the_link_are_refused(plant_of, make_trial):
     refuse_other_links(plant, "plant.json", TrialSet((replace(trial, meta=meta),)))
 
 
-def test_the_rig_of_a_link_simulates_the_payloads_of_its_plant(tmp_path):
-    rig = rig_of_link(SMALL, tmp_path / "link.toml")
-    args = Namespace(
-        dof=None, phase_deg=None, payloads=None, pressure_pa=None, gravity=None, trials=1, seed=0,
-        workers=1, amplitude_deg=30.0, period=2.0, motion="sinusoid", out=tmp_path / "trials",
-    )  # fmt: skip
-    assert [case.payload_kg for case in _cases(args, rig)] == list(SMALL.payloads_kg)
-    args.payloads = [0.2]
-    with pytest.raises(InputError, match=r"choose 0 to 0.15, or raise payload_kg in .*link.toml"):
-        _cases(args, rig)
+def test_a_payload_beyond_the_link_is_not_simulated(tmp_path, capsys):
+    (tmp_path / "link.toml").write_text(link_toml(SMALL, 1.0, 1.0), encoding="utf-8")
+    options = ["--rig", str(tmp_path / "link.toml"), "--payloads", "0.2"]
+    assert main(["simulate", "--out", str(tmp_path / "trials"), *options]) == 2
+    assert "choose 0 to 0.15, or raise payload_kg in" in capsys.readouterr().err
 
 
 def test_the_default_payload_of_linearise_is_within_the_bounds(plant_of, tmp_path, capsys):

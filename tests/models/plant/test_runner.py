@@ -38,29 +38,6 @@ def test_the_compiled_run_is_the_interpreted_one(bench, dof, unit):
     assert np.array_equal(CompiledModel(model).simulate(u, STEP_S), model.simulate(u, STEP_S))
 
 
-def test_a_run_goes_on_where_another_stopped(bench):
-    model = read_plant().step_model(1, "twin")
-    u, p = bench.inputs(model, 40), model.parameter_values()
-    x = np.asarray(model.initial(u[0], p)).ravel()
-    for row in u[:20]:
-        x = model.advance(x, row, p, STEP_S)
-    compiled = CompiledModel(model)
-    whole = compiled.simulate(u, STEP_S)
-    assert np.array_equal(compiled.simulate(u[20:], STEP_S, p, x)[1:], whole[21:])
-
-
-def test_the_step_length_does_not_change_the_motion(bench):
-    """But for the staircase of the goals, which is the step's: here the goal stands still."""
-    model = read_plant().step_model(1, "twin")
-    compiled = CompiledModel(model)
-    x = compiled.start(np.array([0.0, 1.0]), model.parameter_values())
-    coarse, fine = (
-        compiled.simulate(np.tile([0.3, 1.0], (count, 1)), step_s, x=x)
-        for count, step_s in ((30, 0.034), (120, 0.0085))
-    )
-    assert np.allclose(coarse, fine[::4], rtol=0, atol=2e-3)
-
-
 CHOSEN = {
     "twin": ["velocity_gain_1_a_s_rad", "root_stiffness_1_nm_rad", "creep_time_s"],
     "driven": ["link_mass_kg", "edge_gain", "hysteresis_yield_rad", "coulomb_friction_1_nm"],
@@ -129,7 +106,7 @@ def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
 
 @pytest.mark.parametrize("wrt", [[], ["current_bias_1_a"]])
 def test_parameters_that_move_no_state_need_no_slope(bench, wrt):
-    model = bench.plant("current_bias").step_model(1, "twin")
+    model = read_plant().with_effects("current_bias").step_model(1, "twin")
     u = bench.inputs(model, 10)
     y, slopes = CompiledModel(model, wrt).derivatives(u, STEP_S)
     assert slopes.shape == (*y.shape, len(wrt))

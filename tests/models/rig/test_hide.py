@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from firmware_py.core.errors import InputError
-from models.rig.parameters import named_structures, read_parameters, read_rig
+from models.rig.drawn import rig_named
+from models.rig.parameters import named_structures, read_parameters
 from models.rig.protocol import build_rig, run_case
 from models.shared.catalogue import CATALOGUE
 from tests.models.rig.rigs import QUICK, STRENGTH, run, tip_m
@@ -26,7 +27,7 @@ def rms(values):
 
 @pytest.mark.parametrize("name", named_structures())
 def test_every_effect_has_the_same_parameter_in_every_structure(name):
-    rig = read_rig(name)
+    rig = rig_named(name)
     assert rig.effects() == read_parameters().effects()
     assert set(rig.effects()) == set(CATALOGUE) == set(STRENGTH)
     for effect, parameter in rig.effects().items():
@@ -69,9 +70,9 @@ def test_every_effect_of_link_and_servo_shows(number, name):
             log.append([*tip_m(built), *np.ravel(servos)])
         return np.array(log)
 
-    plain, noise = course(read_rig(name)), np.array([1e-4] * 3 + [2e-4, 0.02] * 2)
+    plain, noise = course(rig_named(name)), np.array([1e-4] * 3 + [2e-4, 0.02] * 2)
     for effect in sorted(STRENGTH.keys() - set(OF_SENSORS))[number::3]:
-        changed = course(read_rig(name).hide({effect: STRENGTH[effect]}))
+        changed = course(rig_named(name).hide({effect: STRENGTH[effect]}))
         assert np.any(np.abs(changed - plain).max(axis=0) > noise), effect
 
 
@@ -128,7 +129,7 @@ def test_the_firmware_follows_a_wrong_encoder(hidden, default_trial):
 @pytest.mark.slow
 def test_an_effect_in_each_joint_is_the_effect_in_both(short_case):
     effect = "backlash"
-    rig, strength = read_rig("capture").changed(**QUICK), STRENGTH[effect]
+    rig, strength = rig_named("capture").changed(**QUICK), STRENGTH[effect]
     both = run_case(rig.hide({effect: strength}), short_case())
     each = run_case(rig.hide({f"{effect}:1": strength, f"{effect}:2": strength}), short_case())
     second = run_case(rig.hide({f"{effect}:2": strength}), short_case())
@@ -147,7 +148,7 @@ def test_an_effect_in_one_joint_shows_in_that_joints_current(effect, hidden, def
 
 @pytest.mark.parametrize("rig", ["default", "cosserat"])
 def test_both_engines_load_the_joint_that_has_the_offset(rig):
-    built = build_rig(read_rig(rig).hide({"load_offset:2": 3.0}), 2, 1.0)
+    built = build_rig(rig_named(rig).hide({"load_offset:2": 3.0}), 2, 1.0)
     assert [servo.load_nm for servo in built.servos] == [0.0, 3.0]
 
 

@@ -1,14 +1,13 @@
 """The laws of both engines against what any inflated link obeys, and each against its parts."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_py.link.link_description import LinkDescription
-from models.rig.hinged import BendLaw, hysteresis_springs, relaxation_spectrum, slide
-from models.rig.parameters import link_stiffness, read_parameters, read_rig, rig_of_link
+from models.rig.drawn import rig_named
+from models.rig.hinged import BendLaw, relaxation_spectrum
+from models.rig.parameters import read_parameters
 from models.rig.rod import SectionLaw
 from tests.models.rig.rigs import EVEN, NO_MEMORY, UNLIMITED
 
@@ -23,7 +22,7 @@ ENGINES = ("default", "chain", "rod")
 
 def law_of(engine, hidden=None, **values):
     """Function (bends (9, 2), leaking_s) -> moments (9, 2) against them, one step later."""
-    rig = read_rig("default" if engine == "rod" else engine).hide(hidden or {})
+    rig = rig_named("default" if engine == "rod" else engine).hide(hidden or {})
     rig = rig.changed(**{"stiffness.prebend_rad": 0.0} | values)
     if engine == "rod":
         law = SectionLaw(rig, STEP_S, SECTIONS)
@@ -132,20 +131,6 @@ def test_pressure_adds_stiffness_by_prestress_and_limits_in_proportion(engine, p
     assert root_nm(1e4) == pytest.approx(LIMIT_NM * pressure_pa / 41_300.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("section", ["square", "round"])
-def test_a_described_link_has_the_shear_and_prestress_of_its_section(section, tmp_path):
-    def at(pressure_pa):
-        link = LinkDescription(width_m=0.2, section=section, pressure_pa=pressure_pa)
-        return link_stiffness(rig_of_link(link, tmp_path / "link.toml"))
-
-    low, high = at(20_000.0), at(60_000.0)
-    pull_n = 40_000.0 * 0.2**2 * (1.0 if section == "square" else np.pi / 4)
-    assert high.shear_n - low.shear_n == pytest.approx(pull_n)
-    gained = pull_n * 0.2**2 / (6 if section == "square" else 8)
-    assert high.bending_n_m2 - low.bending_n_m2 == pytest.approx(gained)
-    assert high.root_limit_nm / low.root_limit_nm == pytest.approx(3.0)
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_positive_bends_are_stiffer_by_the_directional_share(engine):
     law = law_of(engine, **{**PLAIN, "stiffness.directional_share": 0.2})
@@ -178,7 +163,7 @@ def test_a_constant_bend_relaxes_by_the_relaxing_share():
 
 
 def test_a_power_law_loses_torque_by_a_constant_factor_per_decade():
-    p = read_rig("memory")
+    p = rig_named("memory")
     times_s, fractions = relaxation_spectrum(p)
     assert fractions.sum() == pytest.approx(p["memory.relaxing_share"])
     torque = [np.sum(fractions * np.exp(-t / times_s)) for t in (0.2, 2.0, 20.0)]
@@ -198,14 +183,6 @@ def test_creep_of_the_rod_relaxes_its_share_over_decades():
     assert 0.02 < first < 0.12 and 0.02 < second < 0.12
 
 
-def test_sliders_of_the_rod_carry_their_share_and_yield():
-    """Stiffness of the skin at first, then a constant moment: its stiffness times the yield."""
-    law = law_of("rod", **{**PLAIN, "memory.hysteresis_share": 0.2, "stiffness.root_limit_nm": 1e6})
-    assert law(bends(1e-5))[0, 0] == pytest.approx(1.2 * 350.0 * 1e-5, rel=1e-6)
-    slipping = law(bends(0.03))[0, 0] - 350.0 * 0.03
-    assert slipping == pytest.approx(0.2 * 350.0 * 0.01, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     "values, size",
     [({}, 0.2), ({"stiffness.softening_share": 0.3}, 0.05),
@@ -222,46 +199,28 @@ def test_tangent_of_the_rod_is_the_derivative_of_the_moment(values, size):
         np.testing.assert_allclose(tangent[:, :, plane], slope, rtol=1e-5, atol=1e-3)
 
 
-# ---- forms of the hinged link's hysteresis -------------------------------------------------------
-
-YIELD_RAD, STIFFNESS, FRACTION = 0.01, 350.0, 0.2
-TORQUE_NM = FRACTION * STIFFNESS * YIELD_RAD
-"""Of the slider in full motion."""
-FORMS = {"bouc_wen": "default", "dahl": "test_a", "maxwell_slip": "memory"}
+# ---- friction of the skin ------------------------------------------------------------------------
 
 
-def hysteresis(kind):
-    """Function: torque of one section after a further bend, each of shape (2,)."""
-    rig = read_rig(FORMS[kind]).changed(**{"memory.hysteresis_share": FRACTION})
-    assert rig.structure.hysteresis == kind
-    memory = [ca.SX.sym("z", 2) for _ in range(hysteresis_springs(rig))]
-    du = ca.SX.sym("du", 2)
-    after, torque_nm = slide(rig, YIELD_RAD, STIFFNESS, memory, du)
-    step = ca.Function("step", [ca.horzcat(*memory), du], [ca.horzcat(*after), torque_nm])
-    state = [ca.DM.zeros(2, len(memory))]
-
-    def torque(further):
-        state[0], torque_nm = step(state[0], further)
-        return torque_nm.full()[:, 0]
-
-    return torque
-
-
-def along_x(kind, path_rad):
-    """Torque along a path in one plane that starts at rest."""
-    torque_nm = hysteresis(kind)
-    return np.array([torque_nm([du, 0.0])[0] for du in np.diff(path_rad, prepend=0.0)])
-
-
-@pytest.mark.parametrize("kind, factor", [("bouc_wen", 1.0), ("dahl", 2.0), ("maxwell_slip", 1.0)])
-def test_hysteresis_has_its_stiffness_its_limit_and_its_slope_after_a_reversal(kind, factor):
-    """Of Dahl's equation with full slip, dz/du = (1 - z sgn du) / u_y = 2 / u_y."""
-    small = 1e-3 * YIELD_RAD
-    at_first = along_x(kind, np.array([0.0, small]))[-1]
-    assert at_first == pytest.approx(FRACTION * STIFFNESS * small, rel=2e-3)
-    path = np.append(np.linspace(0.0, 20 * YIELD_RAD, 4000), 20 * YIELD_RAD - small)
-    torque = along_x(kind, path)
-    assert np.abs(torque).max() <= TORQUE_NM * (1 + 1e-9)
-    assert np.abs(torque).max() == pytest.approx(TORQUE_NM, rel=1e-3)
-    slope = (torque[-2] - torque[-1]) / small
-    assert slope == pytest.approx(factor * FRACTION * STIFFNESS, rel=5e-3)
+@pytest.mark.parametrize(
+    "engine, reversal", [("default", 1.0), ("test_a", 2.0), ("memory", 1.0), ("rod", 1.0)]
+)
+def test_friction_has_its_stiffness_its_limit_and_its_slope_after_a_reversal(engine, reversal):
+    """Bouc-Wen, Dahl, Maxwell slip, sliders; of Dahl dz/du = (1 - z sgn du) / u_y = 2 / u_y."""
+    share, p = 0.2, rig_named("default" if engine == "rod" else engine)
+    stiffness, yield_rad = p["stiffness.root_nm_rad"], p["memory.root_yield_rad"]
+    small = 1e-3 * yield_rad
+    forwards = np.linspace(small, 20 * yield_rad, 1000)
+    path = [0.0, *forwards, forwards[-1] - small]
+    with_it, without = (
+        np.array([law(bends(bend))[0, 0] for bend in path])
+        for law in (
+            law_of(engine, **{**PLAIN, **UNLIMITED, "memory.hysteresis_share": s})
+            for s in (share, 0.0)
+        )
+    )
+    friction = with_it - without
+    assert friction[1] == pytest.approx(share * stiffness * small, rel=2e-3)
+    assert friction.max() == pytest.approx(share * stiffness * yield_rad, rel=1e-3)
+    slope = (friction[-2] - friction[-1]) / small
+    assert slope == pytest.approx(reversal * share * stiffness, rel=5e-3)

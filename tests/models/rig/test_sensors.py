@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.rig.parameters import read_rig
+from models.rig.drawn import rig_named
 from models.rig.rig import MarkerPlay
 from models.rig.sensors import MarkerLog, filtered_frames, read_markers
 from models.shared.kinematics import base_rotation
@@ -14,7 +14,7 @@ FILTERS = {"none": "default", "low_pass": "test_a", "zero_phase": "capture"}
 
 @pytest.fixture
 def play():
-    rig = read_rig("capture").changed(**{"servo.backlash_rad": PLAY_RAD})
+    rig = rig_named("capture").changed(**{"servo.backlash_rad": PLAY_RAD})
     return MarkerPlay(rig, 2, 1e-3)
 
 
@@ -44,7 +44,7 @@ def test_markers_lean_about_the_axis_of_their_joint(play, rigid_markers):
 
 def filtered(kind, values):
     """The same course in every coordinate of every marker, filtered at 10 Hz."""
-    rig = read_rig(FILTERS[kind]).changed(**{"sensor.mocap_cutoff_hz": 10.0})
+    rig = rig_named(FILTERS[kind]).changed(**{"sensor.mocap_cutoff_hz": 10.0})
     assert rig.structure.mocap_filter == kind
     frames = np.broadcast_to(values[:, None, None], (len(values), 16, 3))
     return filtered_frames(rig, frames)[:, 3, 1]
@@ -68,7 +68,7 @@ def test_lag_on_a_ramp_and_gain_at_the_cut_off_are_those_of_the_filter(kind, lag
 def test_a_turned_frame_turns_the_markers_about_z_then_x_then_y():
     markers_m = np.array([[0.4, -0.1, 0.9], [0.0, 0.2, 0.3]])
     turns = {"roll": 0.05, "tilt": 0.1, "yaw": -0.2}
-    quiet = read_rig("default").changed(**{"sensor.marker_noise_m": 0.0})
+    quiet = rig_named("default").changed(**{"sensor.marker_noise_m": 0.0})
     turned = quiet.changed(**{f"sensor.frame_{name}_rad": turn for name, turn in turns.items()})
     log = MarkerLog(-1.0, 0.01, np.tile(markers_m, (300, 1, 1)))
     shown = read_markers(turned, log, np.array([0.0, 0.5]), np.zeros(3), np.random.default_rng(1))

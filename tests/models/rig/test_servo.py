@@ -6,14 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_py.core.signals import PERIOD_S
-from models.rig.parameters import read_parameters, read_rig
-from models.rig.servo import ProfiledGoal, RigServo, friction_form, goal_form
+from models.rig.drawn import rig_named
+from models.rig.parameters import read_parameters
+from models.rig.servo import ProfiledGoal, RigServo, goal_form
 from tests.models.rig.rigs import with_structure
 
 STEP_S = 1e-3
 STEPS = round(PERIOD_S / STEP_S)
-INERTIA = read_parameters()["servo.inertia_kg_m2"]
-FRICTIONS = {"lugre": "default", "smooth": "drive"}
 
 
 def blocked(servo, joint_rad=0.0, seconds=2.0, start_s=0.0):
@@ -62,41 +61,13 @@ def test_friction_at_constant_speed_is_coulomb_plus_viscous_plus_load(kind, rate
     "name, dead_s", [("default", 0.0496), ("drive", 0.0504), ("profile", 0.0504)]
 )
 def test_dead_time_delays_the_goal_to_the_nearest_step(name, dead_s):
-    servo = RigServo(read_rig(name).changed(**{"servo.dead_time_s": dead_s}), STEP_S)
+    servo = RigServo(rig_named(name).changed(**{"servo.dead_time_s": dead_s}), STEP_S)
     servo.send(0.1, 0.0)
     for k in range(50):
         servo.step(k * STEP_S, 0.0, 0.0)
         assert servo.current_a == 0.0
     servo.step(0.05, 0.0, 0.0)
     assert servo.current_a > 0.0
-
-
-# ---- friction ------------------------------------------------------------------------------------
-
-
-def friction(kind):
-    rig = read_rig(FRICTIONS[kind])
-    assert rig.structure.friction == kind
-    return friction_form(rig, STEP_S)
-
-
-def coast(built, rate, level, drive=0.0, seconds=3.0):
-    """Rates of the rotor under friction and a constant torque."""
-    rates = [rate]
-    for _ in range(round(seconds / STEP_S)):
-        torque = drive - built.torque_nm(rates[-1], level, drive)
-        rates.append(rates[-1] + STEP_S * torque / INERTIA)
-    return np.array(rates)
-
-
-@pytest.mark.parametrize("kind", FRICTIONS)
-@pytest.mark.parametrize("level", [0.0, 30.0])
-def test_a_coasting_rotor_comes_to_rest_without_gaining_energy(kind, level):
-    rates = coast(friction(kind), 2.0, level)
-    assert np.abs(rates).max() <= 2.0
-    assert np.abs(rates[-500:]).max() < (1e-3 if level else 2.0)
-    if kind == "smooth":  # it never drives the rotor
-        assert np.all(np.diff(rates) <= 0) and rates.min() >= 0.0
 
 
 # ---- set-point -----------------------------------------------------------------------------------
@@ -119,7 +90,7 @@ def test_a_profile_stays_within_its_velocity_and_acceleration(seed):
 
 @pytest.mark.parametrize("name", ["default", "drive", "profile"])
 def test_a_goal_on_a_ramp_moves_at_its_rate_and_stops_when_no_goal_comes(name):
-    goal = goal_form(read_rig(name), STEP_S)
+    goal = goal_form(rig_named(name), STEP_S)
     for k in range(1, 60):
         goal.take(0.4 * PERIOD_S * k)
         rates = [(goal.advance(), goal.rate_rad_s)[1] for _ in range(STEPS)]
@@ -131,7 +102,7 @@ def test_a_goal_on_a_ramp_moves_at_its_rate_and_stops_when_no_goal_comes(name):
 
 def lag_on_a_ramp(feedforward, integral):
     """Lag of a frictionless servo in rad, in the middle of a period, after 4 s at 0.4 rad/s."""
-    rig = read_rig("drive").changed(**{
+    rig = rig_named("drive").changed(**{
         "servo.velocity_feedforward": feedforward, "servo.position_integral_per_s2": integral,
         "servo.coulomb_friction_nm": 0.0, "servo.viscous_friction_nm_s_rad": 0.0,
         "servo.load_friction_share": 0.0, "servo.velocity_integral_rad_s": 0.0,
@@ -162,7 +133,7 @@ def test_feedforward_takes_its_share_of_the_lag_and_the_position_integral_all_of
 )
 def test_the_register_has_the_current_of_the_tick_of_a_phase_or_a_mean(name, steps_ago):
     """Half of the 17 steps of a period are 8."""
-    rig = read_rig(name).changed(**{"sensor.current_lag_s": 0.0})
+    rig = rig_named(name).changed(**{"sensor.current_lag_s": 0.0})
     servo, history = RigServo(rig, STEP_S), []
     servo.send(0.01, 0.0)
     for k in range(200):

@@ -1,6 +1,5 @@
 import ctypes
 import math
-import os
 import platform
 
 import pytest
@@ -89,20 +88,3 @@ def test_a_loaded_library_is_compiled_for_this_machine(
         sentence = r"platform riscv64-freebsd: is none that models .*; use a"
     with pytest.raises(InputError, match=sentence):
         c_compiler.load_library(lambda directory: [source])
-
-
-def test_a_library_that_stays_mapped_may_stay_on_the_disk(source, tmp_path, monkeypatch):
-    """Windows refuses to delete it."""
-    remove = os.unlink
-
-    def unlink(path, **options):
-        if str(path).endswith(".so"):
-            raise PermissionError(13, "is mapped", str(path))
-        remove(path, **options)
-
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(c_compiler, "_compile", lambda s, output, *_: output.write_bytes(b""))
-    monkeypatch.setattr(ctypes, "CDLL", lambda path: "loaded")
-    c_compiler.compile_library([source], tmp_path / "cached.so")
-    monkeypatch.setattr(os, "unlink", unlink)
-    assert c_compiler.load_library(lambda directory: [source]) == "loaded"

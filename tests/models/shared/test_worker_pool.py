@@ -37,8 +37,8 @@ def test_workers_return_results_and_end_with_the_command(error):
 
 def test_a_killed_worker_is_one_sentence_that_names_memory_and_the_option():
     with (
-        pytest.raises(InputError, match=r"--processes 1: .*memory"),
-        worker_pool(1, "--processes") as pool,
+        pytest.raises(InputError, match=r"--workers 1: .*memory"),
+        worker_pool(1) as pool,
     ):
         pool.submit(os._exit, 9).result()
 

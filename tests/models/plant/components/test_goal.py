@@ -3,12 +3,10 @@
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from models.plant.components.goal import NO_ACCELERATION_LIMIT, above_mean, profiled_change
-from models.plant.identification.fit import Objective, fit_objective
-from models.plant.plant import read_plant
+from models.plant.components.cascade import profiled_change
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.rig.servo import ProfiledGoal
@@ -126,20 +124,6 @@ def test_the_current_is_sampled_at_its_phase(
     assert error < 0.05 * moved + 0.015 * interpolation
 
 
-def test_full_feedforward_follows_a_ramp_without_lag_and_none_lags_by_the_gain(
-    pendulum, extended_pendulum
-):
-    ramp = 0.2 * STEP_S * np.arange(250)
-    values = {"goal_interpolation_1": 1.0, "gravity_m_s2": 0.0}
-    lags = [ramp[-1] - run(pendulum, ramp, **values)["angle_1_rad"][-1]]
-    values["position_integral_1_per_s2"] = 0.0
-    for forward in (0.5, 1.0):
-        y = run(extended_pendulum, ramp, velocity_feedforward_1=forward, **values)
-        lags.append(ramp[-1] - y["angle_1_rad"][-1])
-    lag = 0.2 / VALUES["position_gain_1_per_s"]
-    np.testing.assert_allclose(lags, [lag, 0.5 * lag, 0.0], atol=2e-5)
-
-
 def test_a_goal_that_takes_effect_late_moves_the_joint_late(pendulum):
     """The joint is 4 mrad late; the goal's curvature within a step, 0.08 mrad, is ignored."""
     goal, delay_s, times_s = sinusoid(200), STEP_S / 5, STEP_S * np.arange(201)
@@ -153,28 +137,6 @@ def test_a_profile_limits_the_speed(pendulum):
     y = run(pendulum, goal, goal_interpolation_1=1.0, profile_speed_1_rad_s=0.5)
     angle_rad, _ = integrated(goal, 1.0, speed=0.5)
     np.testing.assert_allclose(y["angle_1_rad"][1:], angle_rad, atol=2e-6)
-
-
-def test_the_sawtooth_has_no_mean_over_the_phases():
-    symbols = [ca.SX.sym(name) for name in ("phase", "step_s", "decay_s")]
-    above = ca.Function("above", symbols, [above_mean(*symbols)])
-    for decay in (0.002, 0.03):
-        mean = quad(lambda at, tau=decay: float(above(at, STEP_S, tau)), 0.0, 1.0)[0]
-        assert mean == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_fit_recovers_interpolation_and_phase_from_noisy_runs(synthetic):
-    shape = {"goal_interpolation_1": 0.7, "current_phase_1": 0.5}
-    rng, true = np.random.default_rng(3), read_plant().with_values(shape)
-    trials = [synthetic(true, load, count=330, rng=rng) for load in (0.0, 2.0)]
-    start = read_plant().with_values({"position_gain_1_per_s": 10.0})
-    free = (*shape, "position_gain_1_per_s", "viscous_friction_1_nm_s_rad")
-    scale = {"angle_1_rad": 1e-4}
-    fit = fit_objective(Objective(start, "twin", trials, free, ("angle", "current"), scale))
-    q = fit.plant.parameters
-    assert q["goal_interpolation_1"].value == pytest.approx(0.7, abs=0.05)
-    assert q["current_phase_1"].value == pytest.approx(0.5, abs=0.1)
-    assert q["position_gain_1_per_s"].value == pytest.approx(12.0, rel=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -215,16 +177,3 @@ def test_the_profile_is_that_of_an_integration_in_small_steps(profile, speed, ac
     fastest = np.sqrt(acceleration)  # of 1 rad; the small steps are late by about one of them
     angle_rad, _ = set_point(profile, goals, speed, acceleration)
     np.testing.assert_allclose(angle_rad, expected, atol=2 * fastest * STEP_S / per_step)
-
-
-def test_a_profile_stays_within_its_limits_and_reaches_the_goal_without_any(profile):
-    goals = jumping_goals(1)
-    angle_rad, rate = set_point(profile, goals, 0.6, 12.0)
-    assert np.abs(np.diff(angle_rad)).max() <= 0.6 * STEP_S * (1 + 1e-9)
-    assert np.abs(rate).max() <= 0.6 * (1 + 1e-9)
-    assert np.abs(np.diff(rate)).max() <= 12.0 * STEP_S * (1 + 1e-9)
-    angle_rad, rate = set_point(profile, goals, 1e6, NO_ACCELERATION_LIMIT)
-    np.testing.assert_allclose(angle_rad, goals, rtol=0, atol=1e-15)
-    assert not rate.any()
-    *_, slopes = profile(0.0, 0.0, 100.0, 12.0, STEP_S)
-    assert np.isfinite(np.array(slopes)).all(), "at rest too"

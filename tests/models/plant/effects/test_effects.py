@@ -57,7 +57,7 @@ def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
 
 def test_sensitivities_by_every_strength_at_zero(bench):
     """Exact, also where zero is a bound; zero only where the run does not excite the effect."""
-    plant, plain = bench.plant(*ALL), bench.compiled(ALL)
+    plant, plain = bench.plant, bench.compiled()
     model = plain.model
     strengths = [s for name in ALL for s in plant.strengths(name, 1)]
     u = bench.inputs(model, 100)
@@ -78,11 +78,11 @@ def test_sensitivities_by_every_strength_at_zero(bench):
 @pytest.mark.slow
 @pytest.mark.parametrize("dof", [1, 2])
 def test_one_effect_stays_finite_at_its_bounds(bench, dof):
-    plant = bench.plant(*ALL)
+    plant = bench.plant
     for name in ALL:
         for side in ("low", "high"):
             changes = {s: getattr(plant.parameters[s], side) for s in plant.strengths(name, dof)}
-            outputs = bench.run(ALL, changes, dof=dof)
+            outputs = bench.run(changes, dof=dof)
             assert all(np.isfinite(v).all() for v in outputs.values()), (name, side)
             assert np.abs(outputs["tip_x_m"]).max() < 1.2, (name, side)
 

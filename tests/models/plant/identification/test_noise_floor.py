@@ -29,22 +29,6 @@ def test_noise_and_model_error_are_separated_by_payload():
         assert min(light, heavy) <= middle <= max(light, heavy) and beyond == heavy
 
 
-def test_the_mean_over_payloads_is_the_common_floor():
-    rng = np.random.default_rng(0)
-    parts = {p: spectra(rng, 3, 1.0 + p, 0.0) for p in (0.0, 1.0, 2.0)}
-    ratios = payload_ratios(HZ, ["tip_x_m", "di"], parts)
-    mean = np.mean([ratios.noise_at("di", p, HZ) for p in parts], axis=0)
-    assert mean == pytest.approx(np.ones(len(HZ)), abs=0.1)
-
-
-@pytest.mark.parametrize(
-    "parts", [{0.0: np.ones((4, 1, 155))}, {0.0: np.ones((2, 1, 155)), 1.0: np.ones((1, 1, 155))}]
-)
-def test_one_payload_or_one_repetition_gives_no_ratio(parts):
-    ratios = payload_ratios(HZ, ["a"], parts)
-    assert ratios.noise_at("a", 1.0, HZ) == pytest.approx(np.ones(len(HZ)))
-
-
 def test_a_trial_below_three_quarters_of_a_second_is_refused(make_trial):
     """Its spectrum up to 8 Hz would have fewer coefficients than three bands of four."""
     check_duration(make_trial(np.zeros(50), step_s=0.017, rest_samples=0))

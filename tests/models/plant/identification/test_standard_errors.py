@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from models.plant.identification.fit import cluster_errors, motion_parts
-from models.plant.parameter import Parameter, bound_reached, is_weakly_determined
+from models.plant.identification.fit import cluster_errors
 
 ROWS = 40
 FREE = np.full(3, np.inf)
@@ -58,24 +57,3 @@ def test_a_parameter_at_its_bound_does_not_move_when_a_group_is_left_out():
     curvature_of_others = np.diag(np.linalg.inv(information[:2, :2]))
     expected = others**2 + curvature[:2] - curvature_of_others
     np.testing.assert_allclose(errors**2, [*expected, curvature[2]], rtol=1e-9)
-
-
-def test_the_parts_of_a_sinusoid_are_its_quarters(make_trial):
-    trial = make_trial(np.sin(np.linspace(0, 2 * np.pi, 400, endpoint=False)))
-    assert np.bincount(motion_parts(trial)).tolist() == pytest.approx([100] * 4, abs=3)
-
-
-@pytest.mark.parametrize(("value", "bound"), [(0.5, None), (1e-9, "lower"), (1 - 1e-9, "upper")])
-def test_a_value_at_a_bound_is_recognised(value, bound):
-    assert bound_reached(Parameter(name="x", unit="1", value=value, low=0.0, high=1.0)) == bound
-
-
-@pytest.mark.parametrize(
-    ("prior", "error", "weak"),
-    [(None, 0.3, True), (None, 0.2, False), (0.1, 0.2, True), (0.1, None, False)],
-)
-def test_a_value_whose_error_is_that_of_its_prior_is_weakly_determined(prior, error, weak):
-    q = Parameter(
-        name="share", unit="1", value=0.5, low=0.0, high=1.0, prior_deviation=prior, error=error
-    )
-    assert is_weakly_determined(q) == weak
