@@ -43,6 +43,20 @@ def test_markers_at_rest_are_where_the_contract_puts_them(numbers, rigid_markers
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("joint, axis", [(0, 0), (1, 1)])
+def test_a_positive_angle_leans_the_link_towards_plus_x_or_plus_y(numbers, joint, axis):
+    rig = build_rig(numbers, 2, 0.5)
+    goal = np.zeros(2)
+    goal[joint] = 0.2
+    run(rig, 1.2, goal)
+    assert tip_m(rig)[axis] > 0.15
+    assert abs(tip_m(rig)[1 - axis]) < 0.02
+    # Gravity pulls the leaning link further; the servo holds back, so its current is negative.
+    assert deflection_m(rig)[axis] > 0
+    assert rig.servos[joint].current_a < 0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("root_nm_rad", [350.0, 3000.0])
 def test_sag_follows_beam_theory(numbers, root_nm_rad):
     """Gravity along x, weak enough to stay linear: Timoshenko's beam on a root spring."""
@@ -71,6 +85,18 @@ def test_a_payload_beside_the_axis_bends_the_link_by_its_moment(numbers):
     moment_nm = payload * gravity * offset
     bent = moment_nm * (LENGTH**2 / (2 * BENDING) + LENGTH / 350.0)
     assert deflection_m(rig)[0] == pytest.approx(bent, rel=0.01)
+
+
+def test_gravity_is_a_direction(parameters):
+    even = parameters.changed(**EVEN, **{"stiffness.damping_s": 0.05})  # so that it is at rest soon
+    hanging = build_rig(even, 1, 1.0, gravity=(0.0, 0.0, 1.0))
+    upright = build_rig(even, 1, 1.0)
+    for rig in (hanging, upright):
+        run(rig, 2.0, [0.3])
+    # Upright the load bends the link outwards, hanging it straightens it.
+    assert deflection_m(upright)[0] > 0.005
+    assert deflection_m(hanging)[0] < -0.005
+    assert upright.servos[0].current_a < 0 < hanging.servos[0].current_a
 
 
 def test_a_symmetric_link_moves_symmetrically(numbers):
@@ -187,6 +213,15 @@ def test_effects_outside_the_law_show_on_the_rod_and_none_at_strength_zero(rod):
     for effect in ("unmodelled_payload", "prebend", "aerodynamic_drag", "cross_axis_coupling"):
         moved = leaning(rod.hide({effect: STRENGTH[effect]})) - plain
         assert np.sqrt(np.mean(moved[12:] ** 2)) > 2e-4, effect
+
+
+@pytest.mark.slow
+def test_a_trial_of_the_rod_depends_on_its_seed_alone(short_case):
+    rig = rig_named("cosserat").changed(**{"world.settle_s": 0.1, "world.pause_s": 0.1})
+    case = short_case(period_s=0.3)
+    trial = run_case(rig, case)
+    assert trial.sha256() == run_case(rig, case).sha256()
+    assert np.ptp(trial.tip_m[:, 0]) > 0.05
 
 
 def test_the_rod_refuses_a_choice_of_the_other_engine(rod):

@@ -124,6 +124,20 @@ def test_the_current_is_sampled_at_its_phase(
     assert error < 0.05 * moved + 0.015 * interpolation
 
 
+def test_full_feedforward_follows_a_ramp_without_lag_and_none_lags_by_the_gain(
+    pendulum, extended_pendulum
+):
+    ramp = 0.2 * STEP_S * np.arange(250)
+    values = {"goal_interpolation_1": 1.0, "gravity_m_s2": 0.0}
+    lags = [ramp[-1] - run(pendulum, ramp, **values)["angle_1_rad"][-1]]
+    values["position_integral_1_per_s2"] = 0.0
+    for forward in (0.5, 1.0):
+        y = run(extended_pendulum, ramp, velocity_feedforward_1=forward, **values)
+        lags.append(ramp[-1] - y["angle_1_rad"][-1])
+    lag = 0.2 / VALUES["position_gain_1_per_s"]
+    np.testing.assert_allclose(lags, [lag, 0.5 * lag, 0.0], atol=2e-5)
+
+
 def test_a_goal_that_takes_effect_late_moves_the_joint_late(pendulum):
     """The joint is 4 mrad late; the goal's curvature within a step, 0.08 mrad, is ignored."""
     goal, delay_s, times_s = sinusoid(200), STEP_S / 5, STEP_S * np.arange(201)

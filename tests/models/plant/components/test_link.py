@@ -95,6 +95,35 @@ def test_the_energy_that_is_lost_went_into_the_dampers():
     assert lost == pytest.approx(np.trapezoid(powers, dx=step_s), rel=1e-3)
 
 
+@pytest.mark.parametrize("payload_kg", [0.0, 2.0])
+def test_modes_are_those_of_the_linear_equations(payload_kg):
+    plant, q = values()
+    model = plant.step_model(1, "driven")
+    x, u = ca.MX.sym("x", len(model.states)), ca.DM([0.0, payload_kg])
+    slope = ca.Function("a", [x], [ca.jacobian(model.rate(x, u, model.parameter_values()), x)])
+    matrix = np.asarray(slope(place(model, {"step_s": STEP_S})))
+    bends = [names(model.states).index(f"{hinge}_{what}") for what in ("bend_1_rad",
+             "bend_rate_1_rad_s") for hinge in ("root", "span")]  # fmt: skip
+    poles = np.linalg.eigvals(matrix[np.ix_(bends, bends)])
+    mass = np.array([
+        [kinetic(q, payload_kg, (0, 0), np.add(a, b)) - kinetic(q, payload_kg, (0, 0), a)
+         - kinetic(q, payload_kg, (0, 0), b) for b in np.eye(2)] for a in np.eye(2)
+    ])  # fmt: skip
+    d = 1e-4
+    stiffness = np.array([
+        [sum(s * t * potential(q, payload_kg, 0.0, *(s * d * a + t * d * b))
+             for s in (1, -1) for t in (1, -1)) / (4 * d * d) for b in np.eye(2)]
+        for a in np.eye(2)
+    ])  # fmt: skip
+    damping = np.diag([q["root_damping_1_nm_s_rad"], q["span_damping_1_nm_s_rad"]])
+    inverse = np.linalg.inv(mass)
+    expected = np.linalg.eigvals(
+        np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
+    )
+    assert np.allclose(np.sort_complex(poles), np.sort_complex(expected), rtol=2e-4)
+    assert 0.5 < np.abs(poles).min() / (2 * np.pi) < 6  # docs/sources.md, "The link"
+
+
 @pytest.mark.parametrize(("angle", "payload_kg"), [(0.3, 0.0), (-0.5, 2.0)])
 def test_sag_is_where_the_potential_is_least(angle, payload_kg):
     plant, q = values({"root_damping_1_nm_s_rad": 5.0, "span_damping_1_nm_s_rad": 5.0})
