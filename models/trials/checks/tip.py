@@ -47,7 +47,8 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
     size_m = float(np.median(np.linalg.norm(trial.tip_m[visible], axis=1)))
     rows, apart_m = _from_last_row(trial)
-    if not REACH[0] <= size_m / reach_m <= REACH[1] and not _marker_at(trial, rows):
+    is_marker = len(rows) > 0 and _marker_at(trial, rows) != ""
+    if not REACH[0] <= size_m / reach_m <= REACH[1] and not is_marker:
         unit = unit_of_length(size_m / reach_m)
         return causes.TIP_REACH.raised(size_m=size_m, reach_m=reach_m, unit=unit)
     names = trial.meta.layout.row(-1)
