@@ -94,7 +94,7 @@ def _from_last_row(trial: Trial) -> tuple[Rows, Array]:
     if len(first) and usual_m.max() < SAME_PLACE_M:
         return none  # all in one place, so these are no markers
     changed_m = np.nan_to_num(np.abs(distance_m - usual_m)).max(axis=1, initial=0.0)
-    apart_m = trial.tip_m - row_centre_m(np.moveaxis(row_m, 1, 0), layout.corners_m)
+    apart_m = trial.tip_m - row_centre_m(row_m, layout)
     count = np.isfinite(row_m).all(axis=2).sum(axis=1)
     valid = (count >= min(3, layout.corners)) & (changed_m < 0.01)
     rows = np.flatnonzero(valid & np.isfinite(apart_m).all(axis=1))
