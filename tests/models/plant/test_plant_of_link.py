@@ -13,7 +13,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity, LinkServo
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from models.commands.simulate import _cases
-from models.plan.planning import check_grid
+from models.plan.plan import check_grid
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.parameter import check_payload
 from models.plant.plant import read_plant
