@@ -26,7 +26,7 @@ from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil
 from hil.sil.tip_errors import path_errors, tip_of_runs_m
 from models.plan.paths import PathOptions, built_in_path
-from models.plan.planning import Method, PlanRequest, plan_path
+from models.plan.plan import Method, PlanRequest, plan_path
 from models.plant.plant import read_plant
 
 SERVO: Final = "H54-200-S500-R(A)"

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--reach", f"is {args.reach:g}", "choose 0.01 to 2")
     plant = read_plant(args.plant)
     # CasADi is loaded here, so that a wrong option is refused at once.
-    from models.plan.planning import check_grid
+    from models.plan.plan import check_grid
     from models.plan.rest_map import map_rest
 
     payloads_kg = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)

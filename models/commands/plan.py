@@ -31,8 +31,7 @@ from models.plant.plant import read_plant
 from models.shared.output_paths import check_output_file
 
 if TYPE_CHECKING:
-    from models.plan.plan import PathPlan
-    from models.plan.planning import Method
+    from models.plan.plan import Method, PathPlan
 
 EXAMPLE = (
     "dropstitch plan circle --plant build/plant.json --bundle build/bundle_2dof "

@@ -15,10 +15,9 @@ from pathlib import Path
 
 from firmware_py.core.console import DONE, NEGATIVE, emit
 from models.plant.plant import read_plant
-from models.trials.checks.page import write_verdict
 from models.trials.checks.payloads import judge_payload_unit
 from models.trials.checks.trials import check_trial, check_trials
-from models.trials.checks.verdict import ImportVerdict
+from models.trials.checks.verdict import ImportVerdict, write_verdict
 from models.trials.files import read_trials
 
 EXAMPLE = "dropstitch validate trials --out build/validated"

@@ -37,8 +37,10 @@ from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import in_time_blocks
 from models.gap.search.effect_search import EffectSearch, ReportProgress, SetFit
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.doubts import refuse_other_links
 from models.plant.identification.noise_floor import aligned
 from models.plant.plant import Plant
+from models.trials.checks.trials import refuse_unusable
 from models.trials.trial import Trial, TrialSet
 
 if TYPE_CHECKING:
@@ -195,8 +197,9 @@ def diagnose(
     Raises
     ------
     InputError
-        If there are no trials or they are of one and of two joints, or an effect to leave out is
-        unknown.
+        If there are no trials, they are of one and of two joints or of another link than the
+        plant's, a trial would spoil the diagnosis (a copy, a goal or tip that cannot be right), or
+        an effect to leave out is unknown.
 
     Examples
     --------
@@ -212,6 +215,8 @@ def diagnose(
     trials = TrialSet(tuple(trials))
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
+    refuse_unusable(trials)
+    refuse_other_links(plant, plant.where, trials)
     catalogue = _catalogue(plant, leave_out)
     with threadpool_limits(limits=1, user_api="blas"):  # the simulations use both processors
         outliers: tuple[OutlierTrial, ...] = ()

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Final, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -29,11 +28,15 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import fftconvolve, find_peaks
 
 from firmware_py.core.errors import InputError
-from firmware_py.link.link_description import STUDY_LINK
 from models.shared.kinematics import pointing_angles_rad
-from models.shared.link_scale import LinkScale
 from models.trials.recordings.mapping import BASE_MARKERS
-from models.trials.recordings.series import Series, row_centre_m
+from models.trials.recordings.series import (
+    Series,
+    nominal_scale,
+    row_centre_m,
+    with_angles,
+    with_markers,
+)
 from models.trials.trial import Array, TrialMeta
 
 SYNC: Final = "sync_v"
@@ -281,35 +284,29 @@ class Direction(NamedTuple):
 
 
 def _angle(servo: list[Series], dof: int) -> ClockSignal:
-    names = [f"angle_{j}_rad" for j in range(1, dof + 1)]
-    for series in servo:
-        if all(name in series.columns for name in names):
-            values = np.column_stack([series.columns[n] for n in names])
-            whole = _complete(series, values)
-            return ClockSignal(series.time_s[whole], values[whole])
-    raise InputError(servo[0].path, f"has no {' and '.join(names)}", "map them under [columns]")
+    angles = with_angles(servo, dof)
+    if angles is None:
+        names = " and ".join(f"angle_{j}_rad" for j in range(1, dof + 1))
+        raise InputError(servo[0].path, f"has no {names}", "map them under [columns]")
+    series, values = angles
+    whole = _complete(series, values)
+    return ClockSignal(series.time_s[whole], values[whole])
 
 
 def _direction(mocap: list[Series], meta: TrialMeta) -> Direction:
     """Direction by the base plate, else by the first marker row, else by the tip."""
-
-    def owner(*names: str) -> Series | None:
-        return next((s for s in mocap if all(map(s.has, names))), None)
-
     layout, bend, ratios = meta.layout, None, nominal_bend_ratios(meta)
-    if series := owner(*BASE_MARKERS):
+    if series := with_markers(mocap, *BASE_MARKERS):
         b1, b2, b3, b4 = (series.position_m(name) for name in BASE_MARKERS)
         root = pointing_angles_rad(np.cross(b1 + b3 - b2 - b4, b1 + b2 - b3 - b4))
         ratios = (0.0, 0.0)
-    elif series := owner(*layout.row(0)):
-        rows_m = [
-            row_centre_m(np.array([series.position_m(n) for n in names]), layout.corners_m)
-            for names in map(layout.row, range(min(layout.rows, 2)))
-            if all(map(series.has, names))
-        ]
-        root = pointing_angles_rad(rows_m[0])
-        bend = pointing_angles_rad(rows_m[1] - rows_m[0]) - root if len(rows_m) > 1 else None
-    elif series := owner("tip"):
+    elif series := with_markers(mocap, *layout.row(0)):
+        first_m = row_centre_m(series.positions_m(layout.row(0)), layout)
+        root = pointing_angles_rad(first_m)
+        if layout.rows > 1 and series.has(*layout.row(1)):
+            second_m = row_centre_m(series.positions_m(layout.row(1)), layout)
+            bend = pointing_angles_rad(second_m - first_m) - root
+    elif series := with_markers(mocap, "tip"):
         root = pointing_angles_rad(series.position_m("tip"))
     else:
         row = f"{layout.row(0)[0]} … {layout.row(0)[-1]}"
@@ -338,8 +335,7 @@ def nominal_bend_ratios(meta: TrialMeta) -> tuple[float, float]:
     """
     if meta.layout.rows < 2:
         return 0.0, 0.0
-    size = {"length_m": meta.link_length_m, "width_m": meta.link_width_m}
-    scale = LinkScale(msgspec.structs.replace(STUDY_LINK, pressure_pa=meta.pressure_pa, **size))
+    scale = nominal_scale(meta)
     rows_m = np.array(meta.layout.rows_m[:2])
     deflection_m, _ = scale.deflection(rows_m, 1.0)
 

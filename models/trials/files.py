@@ -333,8 +333,10 @@ def check_meta(
     for key, (low, high) in (_META_RANGE if signals else _LINK_RANGE).items():
         value = getattr(meta, key)
         if not low <= value <= high and (key in needed or key not in LINK_CONDITIONS):
-            what = f"{key} is {value}, outside {low:g} to {high:g}"
-            raise InputError(where, what, "give it in the unit named")
+            remedy = "give it in the unit named"
+            if key == "pressure_pa":
+                remedy = "give it in Pa: 6 PSI are 41370 Pa, 0.4 bar are 40000 Pa"
+            raise InputError(where, f"{key} is {value}, outside {low:g} to {high:g}", remedy)
     if not signals:
         meta.layout.check(where, meta.link_length_m)
         if not math.hypot(*meta.gravity) < 100.0:

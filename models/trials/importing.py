@@ -23,7 +23,7 @@ from firmware_py.core.input_files import MOST_BYTES
 from firmware_py.core.units import DURATION
 from models.shared.output_paths import check_output_directory
 from models.trials.files import check_trial_name, read_trial
-from models.trials.pipeline import Source, import_take
+from models.trials.pipeline import import_take
 from models.trials.recordings.mapping import RecordingMap, Take, find_takes, read_mapping
 from models.trials.trial import Trial
 
@@ -207,13 +207,10 @@ def _import(take: Take, kind: str, out: Path, name: str) -> dict[str, Any]:
     """
     check_trial_name(name, "--name")
     out.mkdir(parents=True, exist_ok=True)
-    source = Source(take.file, kind, take.servo, take.offset_s)
     with TemporaryDirectory(prefix=".import-", dir=out) as scratch:
         answer = guarded_call(
-            lambda: msgspec.json.encode(
-                import_take(source, take.mapping, name, out, Path(scratch))
-            ),
-            take.file, "export it again, or import less of it", seconds=_seconds_for(source),
+            lambda: msgspec.json.encode(import_take(take, kind, name, out, Path(scratch))),
+            take.file, "export it again, or import less of it", seconds=_seconds_for(take),
         )  # fmt: skip
         facts: dict[str, Any] = msgspec.json.decode(answer)
         for file in sorted(Path(scratch).iterdir()):  # the CSV first: a trial needs both
@@ -221,10 +218,10 @@ def _import(take: Take, kind: str, out: Path, name: str) -> dict[str, Any]:
     return facts
 
 
-def _seconds_for(source: Source) -> float:
+def _seconds_for(take: Take) -> float:
     """Limit of the processor time for files of this size; unreadable files are refused later."""
     size = 0
-    for path in filter(None, (source.file, source.servo)):
+    for path in filter(None, (take.file, take.servo)):
         with contextlib.suppress(OSError, ValueError):
             files = path.iterdir() if path.is_dir() else (path,)
             size += sum(file.stat().st_size for file in itertools.islice(files, 100))

@@ -14,10 +14,9 @@ import msgspec
 
 from firmware_py.core.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.core.errors import InputError
-from models.plant.identification.doubts import refuse_other_links
 from models.plant.plant import read_plant
 from models.shared.output_paths import check_output_directory
-from models.trials.checks.trials import read_usable_trials
+from models.trials.files import read_trial_directories
 
 EXAMPLE = "dropstitch gap build/gap_trials --plant build/plant.json --out build/gap"
 
@@ -51,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     check_output_directory(args.out, DIAGNOSIS_FILES, [args.plant])
     plant = read_plant(args.plant)
-    trials = read_usable_trials(args.trials, plant.signals)
+    trials = read_trial_directories(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.gap.report.gap_json import DiagnosisInputs
@@ -66,7 +65,6 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(
                 f"--dof {args.dof}", "is the number of joints of no trial", "leave it out"
             )
-    refuse_other_links(plant, args.plant, trials)
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(
         str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials),

@@ -19,7 +19,7 @@ from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.motion import LEAST_MOTION_RAD
 from models.trials.recordings.mapping import BASE_MARKERS
-from models.trials.recordings.series import Series, row_centre_m
+from models.trials.recordings.series import Series, row_centre_m, with_angles, with_markers
 from models.trials.trial import Array, Trial, TrialMeta
 
 SURE_ERRORS: Final = 3.0
@@ -33,22 +33,24 @@ def judge_fixed_base(series: Sequence[Series], meta: TrialMeta) -> list[ImportFi
     They move by less than a fifth of what a plate that turns with the link would move.
     """
     names = meta.layout.row(0)
-    for s in (s for s in series if all(map(s.has, (*BASE_MARKERS, *names)))):
-        root_m = row_centre_m(np.array([s.position_m(n) for n in names]), meta.layout.corners_m)
-        base_m = np.stack([s.position_m(n) for n in BASE_MARKERS], axis=1)
-        visible = np.isfinite(root_m).all(axis=1) & np.isfinite(base_m).all(axis=(1, 2))
-        if visible.sum() < 3:
-            continue
-        # From the base's centre the link turns a little more than the joint, by its bend.
-        from_base_m = (root_m - base_m.mean(axis=1))[visible]
-        first = from_base_m[0] / np.linalg.norm(from_base_m[0])
-        cosines = from_base_m @ first / np.linalg.norm(from_base_m, axis=1)
-        turn_rad = float(np.percentile(np.arccos(np.clip(cosines, -1, 1)), 95))
-        moved_m = np.linalg.norm(base_m[visible] - base_m[visible][0], axis=2)
-        most_m = float(np.percentile(moved_m, 95, axis=0).max())
-        due_m = turn_rad * meta.link_width_m / 2
-        if turn_rad > 0.1 and most_m < 0.2 * due_m:
-            return causes.FIXED_BASE.raised(moved_m=most_m, due_m=due_m)
+    s = with_markers(series, *BASE_MARKERS, *names)
+    if s is None:
+        return []
+    root_m = row_centre_m(s.positions_m(names), meta.layout)
+    base_m = s.positions_m(BASE_MARKERS)
+    visible = np.isfinite(root_m).all(axis=1) & np.isfinite(base_m).all(axis=(1, 2))
+    if visible.sum() < 3:
+        return []
+    # From the base's centre the link turns a little more than the joint, by its bend.
+    from_base_m = (root_m - base_m.mean(axis=1))[visible]
+    first = from_base_m[0] / np.linalg.norm(from_base_m[0])
+    cosines = from_base_m @ first / np.linalg.norm(from_base_m, axis=1)
+    turn_rad = float(np.percentile(np.arccos(np.clip(cosines, -1, 1)), 95))
+    moved_m = np.linalg.norm(base_m[visible] - base_m[visible][0], axis=2)
+    most_m = float(np.percentile(moved_m, 95, axis=0).max())
+    due_m = turn_rad * meta.link_width_m / 2
+    if turn_rad > 0.1 and most_m < 0.2 * due_m:
+        return causes.FIXED_BASE.raised(moved_m=most_m, due_m=due_m)
     return []
 
 
@@ -58,15 +60,14 @@ def judge_base_offset(series: Sequence[Series], meta: TrialMeta) -> list[ImportF
     Their centre is at b = c + R(angles) p: linear in the crossing c of the joint axes and in p,
     whose height is the base offset. Of the map's frame only the direction of the axes enters.
     """
-    angles = [f"angle_{j}_rad" for j in range(1, meta.dof + 1)]
-    servo = next((s for s in series if all(n in s.columns for n in angles)), None)
-    mocap = next((s for s in series if all(map(s.has, BASE_MARKERS))), None)
-    if servo is None or mocap is None:
+    angles, mocap = with_angles(series, meta.dof), with_markers(series, *BASE_MARKERS)
+    if angles is None or mocap is None:
         return []
+    servo, measured_rad = angles
     inside = (mocap.time_s >= servo.time_s[0]) & (mocap.time_s <= servo.time_s[-1])
     time_s = mocap.time_s[inside]
-    angle_rad = np.column_stack([np.interp(time_s, servo.time_s, servo.columns[n]) for n in angles])
-    centre_m = np.mean([mocap.position_m(n)[inside] for n in BASE_MARKERS], axis=0)
+    angle_rad = np.column_stack([np.interp(time_s, servo.time_s, q) for q in measured_rad.T])
+    centre_m = mocap.positions_m(BASE_MARKERS)[inside].mean(axis=1)
     visible = np.isfinite(np.column_stack([angle_rad, centre_m])).all(axis=1)
     if visible.sum() < FEWEST_ROWS or angle_rad[visible].std(axis=0).max() < LEAST_MOTION_RAD:
         return []
@@ -91,8 +92,8 @@ def judge_root_path(trial: Trial) -> list[ImportFinding]:
     meta, angle = trial.meta, trial.angle_rad
     if meta.layout.rows < 2 or angle.std(axis=0).max() < 3 * LEAST_MOTION_RAD:
         return []
-    rows_m = np.moveaxis(trial.marker_rows_m[:, :2], 2, 0)
-    first_m, second_m = (row_centre_m(rows_m[:, :, k], meta.layout.corners_m) for k in (0, 1))
+    rows_m = trial.marker_rows_m
+    first_m, second_m = (row_centre_m(rows_m[:, k], meta.layout) for k in (0, 1))
     visible = np.flatnonzero(np.isfinite(np.column_stack([angle, first_m, second_m])).all(axis=1))
     if len(visible) < FEWEST_ROWS:
         return []

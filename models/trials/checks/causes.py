@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import string
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
@@ -30,12 +31,17 @@ class ImportFinding(NamedTuple):
     remedy: str  # What the user can do, as an imperative
 
 
+def listed(words: Sequence[str]) -> str:
+    """Words as a sentence lists them: "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
 class _Sentences(string.Formatter):
     """Formatter of SI values in the usual units, `{angle_rad:deg}`, of lists and vectors."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec == "listed":
-            return " and ".join(filter(None, [", ".join(value[:-1]), value[-1]]))
+            return listed(value)
         if format_spec == "vector":
             return ", ".join(f"{round(float(v), 2) + 0.0:g}" for v in value)  # without -0
         for name, unit in (("deg", ANGLE), ("mm", LENGTH), ("ms", DURATION)):
@@ -117,9 +123,9 @@ HELD = Cause("held", WARNS,
     "the position of {names:listed} is constant in {rows}, while {meanwhile} by {moved_m:mm0}",
     "leave these cells empty where the marker was occluded")
 EXCHANGED = Cause("swapped", WARNS,
-    "{order} in {rows}", "exchange them in these rows and correct the tip")
+    "{what} in {rows}", "exchange them in these rows and correct the tip")
 OUT_OF_PLACE = Cause("place", WARNS,
-    "the place of {names:listed} is wrong in {rows}: distances to the neighbours are off by up to "
+    "the place of {what} is wrong in {rows}: distances to the neighbours are off by up to "
     "{off_m:mm0}",
     "leave these cells empty, or label the markers again and export anew")
 
@@ -309,7 +315,7 @@ GOAL_BEHIND = Cause("goal", WARNS,
     "so the two columns are exchanged or the goals come from another clock",
     "exchange them in MAP.toml, or correct the times of the goals")
 AMPLITUDE = Cause("amplitude", (0.3, math.inf),  # relative difference; only a warning
-    "the goals reach {reach_rad:deg}, amplitude_rad says {stated_rad:deg}{unit}",
+    "the goals reach {reach_rad:deg}, amplitude_rad says {stated_rad:deg}",
     "correct amplitude_rad under [trial]")
 CURRENTS_SWAPPED = Cause("current", WARNS,
     "currents 1 and 2 are swapped", "exchange their columns in MAP.toml")
@@ -347,9 +353,6 @@ MOTION = Cause("motion", WARNS,
 PHASE = Cause("phase", (0.3, math.inf),  # rad; only a warning
     "goal 2 leads goal 1 by {lead_rad:deg0}, phase_2_rad says {stated_rad:deg0}",
     "set phase_2_rad = {lead_rad:.4g} under [trial], or correct the sign of a goal")
-PRESSURE_UNIT = Cause("pressure", REFUSES,
-    "pressure_pa is {pressure_pa:g}: that is not in Pa",
-    "give it in Pa: 6 PSI are 41370 Pa, 0.4 bar are 40000 Pa")
 CONDITIONS = Cause("conditions", REFUSES,
     "[conditions] names {names:listed}, which no plant of the link declares",
     "take [conditions] out, which is for plants with [signals]; conditions of the link, such as "

@@ -19,8 +19,9 @@ from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding, at_rows
 from models.trials.checks.pose import nearest_order, order_words, visible_mean
+from models.trials.recordings.frames import fit_rigid_motion, nominal_markers_m
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, fit_rigid_motion, nominal_markers_m
+from models.trials.recordings.series import Series
 from models.trials.trial import Array, Trial, TrialMeta
 
 Rows = NDArray[np.intp]
@@ -219,24 +220,24 @@ def _misplaced(trial: Trial, markers_m: Array) -> list[ImportFinding]:
     stretches.sort(key=len, reverse=True)
     if rest := stretches[MOST_STRETCHES:]:
         stretches[MOST_STRETCHES:] = [np.sort(np.concatenate(rest))]
-    exchanged: dict[str, Rows] = {}
-    elsewhere: dict[tuple[str, ...], tuple[Rows, float]] = {}
+    faults: dict[causes.Cause, dict[str, tuple[Rows, float]]] = {
+        causes.EXCHANGED: {}, causes.OUT_OF_PLACE: {},
+    }  # fmt: skip
     for rows in stretches:
         order = _exchange(distances, markers_m, right, rows)
         if order is not None:
-            words = order_words(names, order, layout)
-            exchanged[words] = np.union1d(exchanged.get(words, rows), rows)
-            continue
-        worst, off_m = _worst(distances, markers_m, rows)
-        which = tuple(names[k] for k in worst)
-        known, known_m = elsewhere.get(which, (rows, 0.0))
-        elsewhere[which] = np.union1d(known, rows), max(known_m, off_m)
+            cause, what, off_m = causes.EXCHANGED, order_words(names, order, layout), 0.0
+        else:
+            worst, off_m = _worst(distances, markers_m, rows)
+            cause, what = causes.OUT_OF_PLACE, causes.listed([names[k] for k in worst])
+        known, known_m = faults[cause].get(what, (rows, 0.0))
+        faults[cause][what] = np.union1d(known, rows), max(known_m, off_m)
     findings: list[ImportFinding] = []
-    for words, rows in sorted(exchanged.items(), key=lambda e: -len(e[1]))[:MOST_NAMED]:
-        findings += causes.EXCHANGED.raised(order=words, rows=at_rows(rows, trial.time_s))
-    for which, (rows, off_m) in sorted(elsewhere.items(), key=lambda e: -len(e[1][0]))[:MOST_NAMED]:
-        where = at_rows(rows, trial.time_s)
-        findings += causes.OUT_OF_PLACE.raised(names=which, rows=where, off_m=off_m)
+    for cause, by_markers in faults.items():
+        longest = sorted(by_markers.items(), key=lambda fault: -len(fault[1][0]))
+        for what, (rows, off_m) in longest[:MOST_NAMED]:
+            where = at_rows(rows, trial.time_s)
+            findings += cause.raised(what=what, rows=where, off_m=off_m)
     return findings
 
 

@@ -21,8 +21,6 @@ from models.trials.trial import Array, Trial
 
 LEAST_MOTION_RAD: Final = 0.03
 """Smallest standard deviation of an angle for a motion to be judged."""
-LARGEST_RAD: Final = 6.3
-"""Angle above which its unit is not rad."""
 MOVING_RAD_S: Final = 0.05
 """Speed above which friction has its full value."""
 STANDARD_M_S2: Final = 9.81
@@ -32,8 +30,6 @@ ALIKE: Final = 0.9
 
 def judge_motion(trial: Trial) -> list[ImportFinding]:
     """Findings on the motion of a trial of the link, the most likely cause first."""
-    if any(np.nanmax(np.abs(v)) > LARGEST_RAD for v in (trial.goal_rad, trial.angle_rad)):
-        return []  # in another unit
     return [*_against_link(trial), *_against_goals(trial), *_against_currents(trial)]
 
 
@@ -41,8 +37,7 @@ def link_direction(trial: Trial) -> Array | None:
     """Direction of the first row (or the tip) from the joint axes, unit vectors (n, 3), or None."""
     if "m01_x_m" not in trial.columns:
         return None
-    first_m = np.moveaxis(trial.marker_rows_m[:, 0], 1, 0)
-    for root_m in (row_centre_m(first_m, trial.meta.layout.corners_m), trial.tip_m):
+    for root_m in (row_centre_m(trial.marker_rows_m[:, 0], trial.meta.layout), trial.tip_m):
         apart_m = np.linalg.norm(root_m, axis=1, keepdims=True)
         direction = root_m / np.where(apart_m > 0, apart_m, np.nan)  # the origin has no direction
         if np.isfinite(direction).all(axis=1).mean() >= 0.5:
@@ -132,11 +127,8 @@ def _against_goals(trial: Trial) -> list[ImportFinding]:
     reaches = (float(np.max(np.abs(goal - goal[0]))), float(np.max(np.abs(goal))))
     reach_rad = min(reaches, key=lambda reach: abs(reach - stated_rad))
     if reach_rad > LEAST_MOTION_RAD:
-        is_degrees = abs(stated_rad / np.degrees(reach_rad) - 1) < 0.15
-        findings += causes.AMPLITUDE.beyond(
-            (reach_rad - stated_rad) / max(reach_rad, stated_rad), reach_rad=reach_rad,
-            stated_rad=stated_rad, unit=": it is in deg" if is_degrees else "",
-        )  # fmt: skip
+        off = (reach_rad - stated_rad) / max(reach_rad, stated_rad)
+        findings += causes.AMPLITUDE.beyond(off, reach_rad=reach_rad, stated_rad=stated_rad)
     return findings
 
 
@@ -226,8 +218,6 @@ def _are_swapped(trial: Trial) -> bool:
 
 def judge_goals(trial: Trial) -> list[ImportFinding]:
     """Findings on the goals of a whole trial."""
-    if np.nanmax(np.abs(trial.goal_rad)) > LARGEST_RAD:
-        return []  # in another unit
     findings = [*judge_standing_goals(trial), *_missing_rows(trial)]
     return [*(findings or _sinusoid(trial)), *_phase(trial)]
 

@@ -8,12 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Final
 
-import msgspec
 import numpy as np
 
-from firmware_py.link.link_description import STUDY_LINK
 from models.shared.kinematics import base_rotation, pointing_angles_rad
-from models.shared.link_scale import LinkScale
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.motion import (
@@ -22,6 +19,7 @@ from models.trials.checks.motion import (
     STANDARD_M_S2,
     current_terms,
 )
+from models.trials.recordings.series import nominal_scale
 from models.trials.trial import Trial
 
 # --- payloads of several trials ------------------------------------------------------------------
@@ -224,8 +222,6 @@ def _payload_factors(
 
 # --- conditions of one trial ---------------------------------------------------------------------
 
-PRESSURE_PA: Final = 1e3
-"""Pressure below which the unit is not Pa: the link has some tens of kPa."""
 GRAVITY_M_S2: Final = (9.7, 9.9)
 """Gravity on the ground, 9.76 to 9.83 m/s², with a margin; a balloon carries part of it."""
 
@@ -235,14 +231,10 @@ def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[Import
 
     `is_described` says that gravity comes from a link's file, which states the effective weight.
     """
-    meta = trial.meta
-    if not meta.link_length_m:
+    if not trial.meta.link_length_m:
         return []
-    findings = judge_undeclared(trial)
-    if 0 < meta.pressure_pa < PRESSURE_PA:
-        findings += causes.PRESSURE_UNIT.raised(pressure_pa=meta.pressure_pa)
     gravity = [] if is_described else _gravity_size(trial)
-    return [*findings, *gravity, *_payload_size(trial)]
+    return [*judge_undeclared(trial), *gravity, *_payload_size(trial)]
 
 
 def judge_undeclared(trial: Trial) -> list[ImportFinding]:
@@ -254,10 +246,7 @@ def judge_undeclared(trial: Trial) -> list[ImportFinding]:
 def _payload_size(trial: Trial) -> list[ImportFinding]:
     """Finding on a payload that no link of this size and pressure carries at these angles."""
     meta, angle = trial.meta, trial.angle_rad
-    size = {"length_m": meta.link_length_m, "width_m": meta.link_width_m}
-    known = meta.pressure_pa if meta.pressure_pa >= PRESSURE_PA else STUDY_LINK.pressure_pa
-    link = msgspec.structs.replace(STUDY_LINK, pressure_pa=known, **size)
-    limit_nm = LinkScale(link).limit_moment_nm
+    limit_nm = nominal_scale(meta).limit_moment_nm
     axis = base_rotation(angle[np.isfinite(angle).all(axis=1)])[:, :, 2]
     across = np.linalg.norm(np.cross(axis, meta.gravity), axis=1).max(initial=0.0)
     moment_nm = meta.payload_kg * across * (meta.base_offset_m + meta.link_length_m)

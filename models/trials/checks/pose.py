@@ -8,7 +8,7 @@ a wrong origin, upward axis and yaw.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -17,14 +17,14 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from firmware_py.link.link_description import STUDY_LINK
+from firmware_py.core.units import ANGLE, LENGTH
 from firmware_py.link.marker_layout import MarkerLayout
 from models.shared.kinematics import base_rotation
-from models.shared.link_scale import LinkScale
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
+from models.trials.recordings.frames import fit_rigid_motion, nominal_markers_m, world_rotation
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import fit_rigid_motion, nominal_markers_m, world_rotation
+from models.trials.recordings.series import nominal_scale
 from models.trials.trial import Array, TrialMeta
 
 Order = NDArray[np.intp]
@@ -127,11 +127,7 @@ def nominal_sag_m(meta: TrialMeta, turn: Array) -> Array:
     if size_m_s2 < 1e-6:
         return np.zeros_like(places)
     direction = across / size_m_s2
-    link = msgspec.structs.replace(
-        STUDY_LINK, length_m=meta.link_length_m, width_m=meta.link_width_m,
-        pressure_pa=meta.pressure_pa or STUDY_LINK.pressure_pa,
-    )  # fmt: skip
-    scale = LinkScale(link)
+    scale = nominal_scale(meta)
     sunk, slope = scale.deflection(
         places[:, 2] - meta.base_offset_m,
         (scale.tip_mass_kg + meta.payload_kg) * size_m_s2,
@@ -393,3 +389,43 @@ def judge_base(pose: RestPose) -> list[ImportFinding]:
     if "refused" not in wrong:
         return []
     return causes.BASE_ORDER.raised(tilt_rad=pose.tilt_rad, yaw_rad=pose.yaw_rad, off_m=off_m)
+
+
+# --- lean ----------------------------------------------------------------------------------------
+
+
+def judge_removed_lean(pose: RestPose, mapping: RecordingMap) -> list[ImportFinding]:
+    """Finding on a lean that an alignment by the link itself takes away."""
+    lean = _removed_lean(pose, mapping)
+    return causes.REMOVED_LEAN.beyond(lean[1], lean=_lean_words(*lean)) if lean else []
+
+
+def lean_facts(
+    pose: RestPose | None, mapping: RecordingMap, findings: Sequence[ImportFinding]
+) -> dict[str, Any]:
+    """Lean of the link at rest, if it was removed, or if it is large and no finding names it."""
+    if pose is None:
+        return {}
+    if lean := _removed_lean(pose, mapping):
+        text = f'align = "rest" took away a lean of {_lean_words(*lean)}'
+        return {"removed_lean_rad": lean[0], "removed_lean_tip_m": lean[1], "lean": text}
+    is_named = any(finding.cause == "tilt" for finding in findings)
+    if mapping.frame.align != "none" or is_named or not pose.tip_aside_m > ORIGIN_M:
+        return {}
+    words = _lean_words(pose.tilt_rad, pose.tip_aside_m)
+    return {"lean": f"at rest the link leans by {words} (a prebend, or a tilted frame)"}
+
+
+def _removed_lean(pose: RestPose, mapping: RecordingMap) -> tuple[float, float] | None:
+    """Lean in rad, and in m at the tip, that an alignment by the link itself takes away.
+
+    Beyond 30° the file's upward axis is another, and no lean is known.
+    """
+    if mapping.frame.align != "rest" or pose.tilt_rad > LYING_RAD:
+        return None
+    reach_m = pose.meta.base_offset_m + pose.meta.link_length_m
+    return pose.tilt_rad, float(reach_m * np.sin(pose.tilt_rad))
+
+
+def _lean_words(angle_rad: float, tip_m: float) -> str:
+    return f"{ANGLE.text(angle_rad)}, {LENGTH.text(tip_m, 0)} at the tip"

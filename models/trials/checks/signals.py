@@ -1,12 +1,11 @@
-"""Times and signals of the files of a recording: steps, gaps, units, doubled signals, samples.
+"""Signals of the files of a recording: doubled, in a wrong unit, wrapped, stuck, single samples.
 
-Most findings are on series, before they become a trial, because a file keeps its sample times.
+The findings are on series, before they become a trial, because a file keeps its sample times.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
@@ -15,80 +14,10 @@ from numpy.typing import NDArray
 
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding, at_rows
-from models.trials.checks.motion import LARGEST_RAD, LEAST_MOTION_RAD
-from models.trials.files import STEP_RANGE_S, STEP_TOLERANCE
+from models.trials.checks.motion import LEAST_MOTION_RAD
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series
 from models.trials.trial import Array
-
-# --- times ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Longest time without a sample in a series."""
-
-    file: str  # Name of the file
-    start_s: float  # Last sample before the gap, on the trial's clock
-    length_s: float  # Time to the next sample
-    step_s: float  # Usual step of the series
-
-
-def longest_gaps(series: Sequence[Series], start_s: float, end_s: float) -> list[Gap]:
-    """Longest gap of every series between the first and the last time of a trial."""
-    gaps = []
-    for s in series:
-        inside_s = s.time_s[(s.time_s >= start_s - 1.0) & (s.time_s <= end_s + 1.0)]
-        if len(inside_s) < 2:
-            continue
-        steps_s = np.diff(inside_s)
-        k = int(np.argmax(steps_s))
-        usual_s = float(np.median(steps_s))
-        gaps.append(Gap(s.path.name, float(inside_s[k] - start_s), float(steps_s[k]), usual_s))
-    return gaps
-
-
-def judge_gaps(gaps: Sequence[Gap]) -> list[ImportFinding]:
-    """Findings on gaps that would be bridged by interpolation."""
-    return [
-        finding
-        for gap in gaps
-        if gap.length_s > 1.5 * gap.step_s
-        for finding in causes.GAP.beyond(gap.length_s, file=gap.file, start_s=gap.start_s)
-    ]
-
-
-def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
-    """Findings on the unit of the times of one file."""
-    for s in series:
-        steps_s = np.diff(s.time_s)
-        step_s = float(np.median(steps_s))
-        if step_s == 1.0 and np.all(s.time_s == np.round(s.time_s)):
-            return causes.FRAME_NUMBERS.raised(file=s.path.name)
-        if not STEP_RANGE_S[0] <= step_s <= STEP_RANGE_S[1]:
-            unit = "ms" if step_s > 1 else "s"
-            return causes.TIME_UNIT.raised(file=s.path.name, step_s=step_s, unit=unit)
-    return []
-
-
-def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportFinding]:
-    """Findings on goals with an even step other than the trial's, if the map names no step.
-
-    A step is even if nine in ten are within 5 % of the median. A held goal is accurate enough below
-    a tenth of the trial's step.
-    """
-    if mapping.step_named:
-        return []
-    for s in (s for s in series if any(mapping.is_goal(name) for name in s.columns)):
-        steps_s = np.diff(s.time_s)
-        usual_s = float(np.median(steps_s))
-        file_s = float(np.mean(steps_s[steps_s < 1.5 * usual_s]))  # without gaps
-        even = np.percentile(np.abs(steps_s / usual_s - 1), 90) <= 0.05
-        other = abs(file_s - mapping.step_s) > STEP_TOLERANCE * mapping.step_s
-        if even and other and file_s > 0.1 * mapping.step_s:
-            return causes.STEP.raised(file=s.path.name, file_s=file_s, step_s=mapping.step_s)
-    return []
-
 
 # --- signals that are in two places --------------------------------------------------------------
 
@@ -171,6 +100,8 @@ def _angle_unit(series: Series, name: str) -> list[ImportFinding]:
     return cause.raised(name=name, reached=reached)
 
 
+LARGEST_RAD: Final = 6.3
+"""Angle above which its unit is not rad."""
 LARGEST_A: Final = 100.0
 """Current above which its unit is not A."""
 LEAST_A: Final = 0.01

@@ -47,7 +47,8 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
     size_m = float(np.median(np.linalg.norm(trial.tip_m[visible], axis=1)))
     rows, apart_m = _from_last_row(trial)
-    if not REACH[0] <= size_m / reach_m <= REACH[1] and not _marker_at(trial, rows):
+    is_marker = len(rows) > 0 and _marker_at(trial, rows) != ""
+    if not REACH[0] <= size_m / reach_m <= REACH[1] and not is_marker:
         unit = unit_of_length(size_m / reach_m)
         return causes.TIP_REACH.raised(size_m=size_m, reach_m=reach_m, unit=unit)
     names = trial.meta.layout.row(-1)
@@ -93,7 +94,7 @@ def _from_last_row(trial: Trial) -> tuple[Rows, Array]:
     if len(first) and usual_m.max() < SAME_PLACE_M:
         return none  # all in one place, so these are no markers
     changed_m = np.nan_to_num(np.abs(distance_m - usual_m)).max(axis=1, initial=0.0)
-    apart_m = trial.tip_m - row_centre_m(np.moveaxis(row_m, 1, 0), layout.corners_m)
+    apart_m = trial.tip_m - row_centre_m(row_m, layout)
     count = np.isfinite(row_m).all(axis=2).sum(axis=1)
     valid = (count >= min(3, layout.corners)) & (changed_m < 0.01)
     rows = np.flatnonzero(valid & np.isfinite(apart_m).all(axis=1))

@@ -17,7 +17,6 @@ from firmware_py.link.marker_layout import MarkerLayout
 from models.trials.checks import causes
 from models.trials.checks.base import judge_root_path
 from models.trials.checks.causes import ImportFinding
-from models.trials.checks.clocks import judge_common_clock
 from models.trials.checks.markers import (
     judge_marker_run,
     judge_markers,
@@ -33,6 +32,7 @@ from models.trials.checks.motion import (
 from models.trials.checks.payloads import judge_conditions, judge_payloads, judge_undeclared
 from models.trials.checks.pose import judge_pose, rest_pose, visible_mean
 from models.trials.checks.signals import judge_signals
+from models.trials.checks.times import judge_common_clock
 from models.trials.checks.tip import judge_tip
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.files import PlantSignals, read_trial_directories

@@ -15,11 +15,12 @@ from typing import Final
 
 from firmware_py.core.errors import InputError
 from models.trials.recordings.c3d import read_c3d
+from models.trials.recordings.frames import in_world
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.motive import read_motive_csv
 from models.trials.recordings.robot_log import read_robot_log
 from models.trials.recordings.rosbag import read_ros2_bag
-from models.trials.recordings.series import Series, in_world
+from models.trials.recordings.series import Series
 from models.trials.recordings.table import read_table
 
 READERS: Final[dict[str, Callable[[Path, RecordingMap], list[Series]]]] = {

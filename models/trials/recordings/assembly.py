@@ -97,9 +97,9 @@ def _goals_at_samples(series: list[Series], step_s: float) -> list[Series]:
 def _with_tip(series: Series, layout: MarkerLayout) -> Series:
     """Series with the centre of the last marker row as tip, if it has no tip."""
     names = layout.row(-1)
-    if "tip_x_m" in series.columns or not all(map(series.has, names)):
+    if "tip_x_m" in series.columns or not series.has(*names):
         return series
-    tip_m = row_centre_m(np.array([series.position_m(n) for n in names]), layout.corners_m)
+    tip_m = row_centre_m(series.positions_m(names), layout)
     return replace(series, columns=series.columns | marker_columns({"tip": tip_m}))
 
 

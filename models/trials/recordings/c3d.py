@@ -11,7 +11,6 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import open_bounded
 from models.trials.recordings.mapping import RecordingMap, no_markers
 from models.trials.recordings.series import Series, marker_columns
-from models.trials.units import factor_to_si
 
 _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
@@ -68,9 +67,8 @@ def _analogs(path: Path, file: Any, mapping: RecordingMap) -> list[Series]:
             if labels.count(column.source) > 1 or k >= len(channels):
                 what = f"does not hold one channel {column.source!r}"
                 raise InputError(path, what, "rename or export it again")
-            unit = column.unit or (units[k] if k < len(units) else "")
-            factor = column.scale * factor_to_si(path, name, unit)
-            columns[name] = channels[k].astype(np.float64) * factor + column.offset
+            unit = units[k] if k < len(units) else None
+            columns[name] = column.to_si(path, name, channels[k].astype(np.float64), None, unit)
     if not columns:
         return []
     rate_hz = _rate_hz(path, file["header"]["analogs"]["frame_rate"])

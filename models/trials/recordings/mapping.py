@@ -39,6 +39,16 @@ class ColumnSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     scale: float = 1.0
     offset: float = 0.0
 
+    def to_si(
+        self, where: Path | str, name: str, raw: Any, declared: str | None, unit: str | None = None
+    ) -> Any:
+        """Value or values of `name` in SI units; `unit` is that of the source, if it states one.
+
+        `declared` is the SI unit of a name without a suffix.
+        """
+        factor = factor_to_si(Path(where), name, self.unit or unit or declared or "1", declared)
+        return raw * (self.scale * factor) + self.offset
+
 
 class ScalarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A `[trial]` entry whose source is a single value of the file."""
@@ -72,27 +82,22 @@ class TakeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     servo: str = ""
 
 
-class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Content of MAP.toml, and what it names: the link, the plant's signals."""
+class MapFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Content of MAP.toml."""
 
     # Conditions of the trial, by key of its TOML file
     trial: dict[str, Scalar | ScalarSource] = {}
     # Conditions that the plant's file declares, by name
     conditions: dict[str, float | ColumnSource] = {}
-    # Plant document beside the map, for a plant that is not the link, and its signals
+    # Plant document beside the map, for a plant that is not the link
     plant: str = ""
-    signals: dict[str, SignalRole] = {}
-    # Description of the link beside the map, and its content; empty for the study's link
+    # Description of the link beside the map; empty for the study's link
     link: str = ""
-    described: LinkDescription = STUDY_LINK
-    # Uniform step of the trial in s, and whether the map states it
+    # Uniform step of the trial in s
     step_s: float = PERIOD_S
-    step_named: bool = False
     # Sources of the trial's columns in the recording, and in the file of `--servo`
     columns: dict[str, ColumnSource] = {}
     servo_columns: dict[str, ColumnSource] = {}
-    # Table of the two above that names the columns of the file being read
-    table: Literal["[columns]", "[servo_columns]"] = "[columns]"
     # Name in the file by marker of the trial; empty if the names are the same
     markers: dict[str, str] = {}
     # Role by topic of a ROS 2 bag; its names of joint 1 and joint 2, empty for the message's order
@@ -102,6 +107,18 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     effort_unit: str = "A"
     frame: MocapFrame = MocapFrame()
     takes: TakeRules = TakeRules()
+
+
+class RecordingMap(MapFile, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Map with the content of the files that it names."""
+
+    # Signals of the plant; none for the link
+    signals: dict[str, SignalRole] = {}
+    described: LinkDescription = STUDY_LINK
+    # Whether the map states `step_s`
+    step_named: bool = False
+    # Table that names the columns of the file being read
+    table: Literal["[columns]", "[servo_columns]"] = "[columns]"
     # Path of the map, for messages
     path: str = "--map"
 
@@ -123,29 +140,23 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     def with_scalars(self, scalars: Mapping[str, Scalar], where: Path) -> RecordingMap:
         """Map with every `{ from = … }` of a single value replaced by that value of a file."""
-
-        def value_of(key: str, source: str) -> Scalar:
-            if source not in scalars:
+        trial, conditions = dict(self.trial), dict(self.conditions)
+        for key, entry in (*self.trial.items(), *self.conditions.items()):
+            if not isinstance(entry, ScalarSource | ColumnSource):
+                continue
+            if entry.source not in scalars:
                 raise InputError(
-                    where, f"lacks {source!r}, from which {self.path} takes {key}",
+                    where, f"lacks {entry.source!r}, from which {self.path} takes {key}",
                     "write the value itself into the map",
                 )  # fmt: skip
-            return scalars[source]
-
-        trial, conditions = dict(self.trial), dict(self.conditions)
-        for key, entry in self.trial.items():
+            raw = scalars[entry.source]
             if isinstance(entry, ScalarSource):
-                raw = value_of(key, entry.source)
                 trial[key] = f"{raw:g}" if key == "motion" and not isinstance(raw, str) else raw
-        for key, source in self.conditions.items():
-            if isinstance(source, ColumnSource):
-                raw = value_of(key, source.source)
-                if isinstance(raw, str):
-                    raise InputError(where, f"{source.source} is {raw!r}, no number", "correct it")
+            elif isinstance(raw, str):
+                raise InputError(where, f"{entry.source} is {raw!r}, no number", "correct it")
+            else:
                 declared = self.signals[key].unit if key in self.signals else None
-                unit = source.unit or declared or "1"
-                factor = source.scale * factor_to_si(Path(self.path), key, unit, declared)
-                conditions[key] = float(raw) * factor + source.offset
+                conditions[key] = entry.to_si(self.path, key, float(raw), declared)
         return msgspec.structs.replace(self, trial=trial, conditions=conditions)
 
     def for_servo(self) -> RecordingMap:
@@ -199,13 +210,12 @@ def read_mapping(path: Path | None) -> RecordingMap:
     if path is None:
         return RecordingMap()
     document = read_toml(path, "name an existing MAP.toml")
-    mapping = convert(document, RecordingMap, path, "", "see docs/trials.md for its form")
-    known: dict[str, Any] = {"path": str(path), "step_named": "step_s" in document}
-    if mapping.link:
-        known["described"] = read_link(path.parent / mapping.link)
-    if mapping.plant:
-        known["signals"] = _signals(path.parent / mapping.plant)
-    mapping = msgspec.structs.replace(mapping, **known)
+    file = convert(document, MapFile, path, "", "see docs/trials.md for its form")
+    mapping = RecordingMap(
+        **msgspec.structs.asdict(file), path=str(path), step_named="step_s" in document,
+        described=read_link(path.parent / file.link) if file.link else STUDY_LINK,
+        signals=_signals(path.parent / file.plant) if file.plant else {},
+    )  # fmt: skip
     for name in mapping.markers:
         if name not in mapping.known_markers:
             last = mapping.layout.names[-1]
@@ -270,8 +280,8 @@ class Take(NamedTuple):
 
     file: Path
     mapping: RecordingMap
-    servo: Path | None
-    offset_s: float | None = None  # Offset of the servo's clock, where a table states it
+    servo: Path | None = None  # Second file with the servo's signals
+    offset_s: float | None = None  # Offset of the servo's clock; None to estimate it
 
 
 def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[Take]:

@@ -39,7 +39,6 @@ from models.shared.numeric_text import (
 from models.trials.recordings.mapping import ColumnSource, RecordingMap, Scalar
 from models.trials.recordings.series import Series
 from models.trials.trial import Array
-from models.trials.units import factor_to_si
 
 Columns = dict[str, Any]
 """Cells by the name of their column, each a sequence or an array of length n."""
@@ -71,9 +70,8 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
             what = f"column {column.source!r} (mapped to {name}) is missing"
             raise _wrong_map(path, what, raw, mapping, "correct 'from'")
         declared = mapping.signals[name].unit if name in mapping.signals else unit_of(name)
-        unit = column.unit or unit_of(column.source) or declared or "1"
-        factor = column.scale * factor_to_si(Path(mapping.path), name, unit, declared)
-        columns[name] = _numbers(path, column.source, raw[column.source]) * factor + column.offset
+        numbers = _numbers(path, column.source, raw[column.source])
+        columns[name] = column.to_si(mapping.path, name, numbers, declared, unit_of(column.source))
     if TIME.name not in columns:
         remedy = 'add time_s = { from = "…", unit = "s" }'
         raise _wrong_map(path, "no column is mapped to time_s", raw, mapping, remedy)
@@ -87,7 +85,7 @@ def read_scalars(path: Path) -> dict[str, Scalar]:
     path and by JSON pointer; in a MATLAB file, the 1 × 1 variables. Other files have none.
     """
     if path.suffix.lower() == ".json":
-        return _single_values(_json(path))
+        return _single_values(read_json(path, "export it again"))
     if path.suffix.lower() == ".mat":
         single = {n: np.ravel(v)[0] for n, v in matlab_variables(path).items() if np.size(v) == 1}
         plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in single.items()}
@@ -274,17 +272,13 @@ _LONGEST_NAME: Final = 1000
 """Most characters of a path to a single value."""
 
 
-def _json(path: Path) -> Any:
-    return read_json(path, "export it again")
-
-
 def _json_columns(path: Path, mapping: RecordingMap) -> Columns:
     """Columns of a JSON file, with those that the map names by a path.
 
     The file may be a list of records, an object of equally long lists, or an object with one key
     for the list of records.
     """
-    document = records = _json(path)
+    document = records = read_json(path, "export it again")
     columns: Columns = {}
     if isinstance(document, dict):
         lists = {k: v for k, v in document.items() if isinstance(v, list) and v}

@@ -33,7 +33,7 @@ from hil.sil.sil_options import sil_config
 from hil.sil.tip_errors import CLOSE_M, move_figures
 from models.plan.learning import improve_plan, read_plan_run
 from models.plan.paths import PathOptions, built_in_path
-from models.plan.planning import PlanRequest, plan_path
+from models.plan.plan import PlanRequest, plan_path
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trial
 from tests.firmware_py.goals.scripted_program import linear_map, swinging

@@ -101,6 +101,12 @@ def test_unusable_arguments_are_refused(plant, hidden, make_trial):
     mixed = TrialSet((make_trial(np.zeros((80, 1))), make_trial(np.zeros((80, 2)))))
     with pytest.raises(InputError, match="one and of two joints"):
         diagnose(plant, mixed)
+    first, *others = hidden()
+    with pytest.raises(InputError, match="is a copy of"):
+        diagnose(plant, [first, replace(first, name="again"), *others])
+    wider = msgspec.structs.replace(first.meta, link_width_m=0.3)
+    with pytest.raises(InputError, match=r"link_width_m is 0\.3 m, in the plant"):
+        diagnose(plant, [replace(first, meta=wider)])
 
 
 @pytest.mark.slow

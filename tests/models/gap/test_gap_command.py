@@ -43,7 +43,7 @@ def test_whether_the_link_is_the_same_reaches_the_diagnosis(
         settings.append(arguments[-1])
         raise InputError("the diagnosis", "ends here", "see its settings")
 
-    trials = "models.commands.gap_workflow.gap.read_usable_trials"
+    trials = "models.commands.gap_workflow.gap.read_trial_directories"
     monkeypatch.setattr(trials, lambda *_: hidden())
     monkeypatch.setattr("models.gap.report.diagnosis_files.write_diagnosis", stop)
     command = ["gap", "trials", "--plant", str(tmp_path / "plant.json")]

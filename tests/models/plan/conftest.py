@@ -5,7 +5,7 @@ import pytest
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.limits import Limits
 from models.plan.paths import PathOptions, built_in_path
-from models.plan.planning import PlanRequest, plan_path
+from models.plan.plan import PlanRequest, plan_path
 from models.plan.tip_twin import TipTwin
 from models.plant.plant import read_plant
 

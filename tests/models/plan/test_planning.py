@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
+import models.plan.plan as planning
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.goal_map import RestGoals
 from firmware_py.safety.limits import Limits
-from models.plan import planning
 from models.plan.inversion import Inverter, rms
 from models.plan.paths import DesiredPath, PathOptions, built_in_path, timeline
-from models.plan.planning import (
+from models.plan.plan import (
     PlanRequest,
     nearest_rest_m,
     plan_path,

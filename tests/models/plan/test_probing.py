@@ -8,7 +8,7 @@ from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.stiffness_estimate import ProbeEstimate, wrong_in_probe
 from firmware_py.safety.limits import Limits
 from models.plan.paths import PathOptions, built_in_path
-from models.plan.planning import PlanRequest, plan_path
+from models.plan.plan import PlanRequest, plan_path
 from models.plan.probing import CORRELATION, NOISE_A, design_probe, expected_deviation
 from models.plant.linear_twin import STIFFNESS
 

@@ -17,7 +17,7 @@ from firmware_py.link.link_description import (
     link_toml,
 )
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from models.plan.planning import check_grid
+from models.plan.plan import check_grid
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.parameter import check_payload
 from models.plant.plant import read_plant

@@ -20,8 +20,8 @@ from models.trials.checks.trials import check_trial
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.deformation import deformation_index
 from models.trials.files import read_trial, write_trial
-from models.trials.pipeline import Inspection, Source
-from models.trials.recordings.mapping import MocapFrame, read_mapping
+from models.trials.pipeline import Inspection
+from models.trials.recordings.mapping import MocapFrame, Take, read_mapping
 from models.trials.trial import TrialSet
 
 LINK = LinkDescription(
@@ -98,9 +98,9 @@ def test_a_hanging_link_is_imported_from_a_capture_with_z_up(trial, link_file):
     )
     mapping = read_mapping(folder / "map.toml")
     verdict = ImportVerdict("take")
-    imported = Inspection(Source(folder / "take.csv", "table"), mapping, verdict).trial()
+    imported = Inspection(Take(folder / "take.csv", mapping), "table", verdict).trial()
     assert verdict.refused == [] and imported.meta.gravity == trial.meta.gravity
     np.testing.assert_allclose(imported.markers_m, trial.markers_m, atol=1e-9)
     with pytest.raises(InputError, match="-z-up"):
         upright = msgspec.structs.replace(mapping, frame=MocapFrame())
-        Inspection(Source(folder / "take.csv", "table"), upright, ImportVerdict("take")).trial()
+        Inspection(Take(folder / "take.csv", upright), "table", ImportVerdict("take")).trial()

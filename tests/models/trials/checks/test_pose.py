@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from firmware_py.link.marker_layout import square_layout
 from models.trials.checks.markers import judge_markers
 from models.trials.checks.pose import judge_base, judge_pose, nominal_sag_m, rest_pose
+from models.trials.recordings.frames import nominal_markers_m, to_world
 from models.trials.recordings.mapping import MocapFrame, RecordingMap
-from models.trials.recordings.series import Series, marker_columns, nominal_markers_m, to_world
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import TrialMeta
 
 META = TrialMeta(

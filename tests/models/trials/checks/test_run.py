@@ -218,11 +218,6 @@ def test_a_tip_is_compared_where_the_last_row_shows_it(trial, change, levels):
         refuse_unusable([other])
 
 
-def test_one_wrong_sample_of_the_tip_is_named_with_its_row_and_size(trial):
-    (found,) = judge_tip(put(["tip_x_m"], lambda v: v + 0.1, 150)(trial))
-    assert "row 152 (2.55 s)" in found.text and "100\xa0mm" in found.text
-
-
 @pytest.mark.parametrize("command", ["train", "identify", "evaluate"])
 def test_commands_that_use_trials_refuse_a_wrong_tip(trial, tmp_path, capsys, command):
     write_trial(negated(trial), tmp_path / "trials")

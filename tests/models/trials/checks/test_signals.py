@@ -83,7 +83,6 @@ def test_a_right_trial_has_no_findings(dof):
     [
         (lambda t: changed(t, current_1_a=1e-3 * t.columns["current_1_a"]), "warning", "unit"),
         (lambda t: changed(t, current_2_a=t.columns["current_1_a"]), "refused", "doubled"),
-        (lambda t: stated(t, pressure_pa=6.0), "refused", "pressure"),
         (lambda t: stated(t, amplitude_rad=0.2), "warning", "amplitude"),
     ],
 )

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
-from models.trials.checks.clocks import judge_clock
-from models.trials.checks.signals import judge_shared_signals, judge_steps, judge_times
+from models.trials.checks.signals import judge_shared_signals
+from models.trials.checks.times import judge_clock, judge_steps, judge_times
 from models.trials.clock import ClockDrift, Synchronisation
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series

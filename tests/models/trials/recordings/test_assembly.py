@@ -4,15 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from dropstitch.__main__ import main
 from firmware_py.link.link_description import STUDY_LINK
 from models.trials.files import read_trial
-from models.trials.pipeline import align_markers
 from models.trials.recordings.assembly import assemble_trial, resample, time_grid
+from models.trials.recordings.frames import align_markers
 from models.trials.recordings.mapping import BASE_MARKERS, MocapFrame, RecordingMap
 from models.trials.recordings.series import Series, marker_columns
 from tests.models.trials.recordings.conftest import CONDITIONS, angle_rad
@@ -23,21 +20,6 @@ MAP = RecordingMap(trial=CONDITIONS | {"dof": 1, "motion": "other"})
 
 
 # --- values in the rows ---------------------------------------------------------------------------
-
-
-@settings(max_examples=50)
-@given(
-    arrays(float, 12, elements=st.floats(-5, 5)),
-    st.lists(st.floats(0, 11), min_size=1, max_size=20).map(sorted),
-)
-def test_resampling_is_exact_at_samples_and_linear_between(values, grid):
-    time_s = np.arange(12.0)
-    assert resample(time_s, values, time_s).tolist() == values.tolist()
-    assert resample(time_s, values, np.array(grid)) == pytest.approx(
-        np.interp(grid, time_s, values)
-    )
-    constant = resample(time_s, values, np.array(grid), hold=True)
-    assert constant.tolist() == [values[int(np.floor(t))] for t in grid]
 
 
 def test_an_occlusion_is_not_spread_to_measured_samples():

@@ -14,7 +14,7 @@ from models.plant.plant import read_plant
 from models.trials.files import read_trial, write_trial
 from models.trials.recordings.mapping import RecordingMap, read_mapping
 from models.trials.recordings.table import json_values, read_table
-from tests.models.trials.recordings.written_takes import write_c3d
+from tests.models.trials.recordings.written_takes import motive_export, write_c3d
 
 
 @pytest.fixture
@@ -367,37 +367,12 @@ def test_an_export_without_a_whole_header_is_refused(text, words, tmp_path):
 
 
 def write_motive(path, time_s, markers_m, *, version="1.23", units="Meters"):
-    """A Motive export: y up, a rigid body in front, expected and measured markers, gaps blank."""
+    """A Motive export: y up, a rigid body in front, gaps blank."""
     per_metre = {"Meters": 1, "Centimeters": 100, "Millimeters": 1000}[units]
-    body = ["Rigid Body"] * 8
-    expected, measured = ["Rigid Body Marker"] * 64, ["Marker"] * 48
-    names = [f"Link:M{i:02d}" for i in range(1, 17)]
-    four = [n for n in names for _ in range(4)]
-    three = [n for n in names for _ in range(3)]
-    head = [
-        ["Format Version", version, "Take Name", "Take 1", "Capture Frame Rate", "240.000000",
-         "Rotation Type", "Quaternion", "Length Units", units, "Coordinate Space", "Global"],
-        [],
-        ["", "Type", *body, *expected, *measured],
-        ["", "Name", *["Link"] * 8, *four, *three],
-        ["", "ID", *['"1"'] * 120],
-        ["", "", *["Rotation"] * 4, *["Position"] * 3, "Error Per Marker",
-         *[*["Position"] * 3, "Marker Quality"] * 16, *["Position"] * 48],
-        ["Frame", "Time (Seconds)", "X", "Y", "Z", "W", "X", "Y", "Z", "",
-         *["X", "Y", "Z", ""] * 16, *["X", "Y", "Z"] * 16],
-    ]  # fmt: skip
-    if version == "1.2":
-        del head[4]  # the rows differ between versions: readers must not count lines
-    else:
-        head.insert(5, ["", "Parent", *[""] * 120])
-    motive_m = per_metre * np.stack([markers_m[..., 0], markers_m[..., 2], -markers_m[..., 1]], -1)
-    lines = [",".join(row) for row in head]
-    for frame, (time, row) in enumerate(zip(time_s, motive_m, strict=True)):
-        cells = [str(frame), f"{time:.6f}", *["0.1"] * 8]
-        cells += [c for _ in range(16) for c in ("9", "9", "9", "1")]  # the solver's expectation
-        cells += ["" if np.isnan(v) else f"{v:.7f}" for v in row.ravel()]
-        lines.append(",".join(cells))
-    path.write_text("\n".join(lines) + "\n")
+    places = per_metre * np.stack([markers_m[..., 0], markers_m[..., 2], -markers_m[..., 1]], -1)
+    labels = [f"Link:M{i:02d}" for i in range(1, 17)]
+    options = {"units": units, "version": version, "solved": True}
+    path.write_text(motive_export(time_s, labels, places, **options))
     return path
 
 
@@ -451,19 +426,6 @@ def test_blank_cells_are_occluded_markers_and_short_gaps_of_the_tip_are_bridged(
     long = write_motive(tmp_path / "long.csv", session.mocap_s, markers_m)
     code, _, err = importing(long, "motive")
     assert code == 2 and "tip is unseen for 0.2" in err
-
-
-@pytest.mark.parametrize(
-    "frame", [{"align": "rest"}, {"yaw_deg": -130.0, "origin_m": [1.5, -0.4, 0.8]}]
-)
-def test_another_frame_is_turned_into_the_world_frame(frame, session, importing, tmp_path, check):
-    yaw = np.radians(130)
-    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    moved_m = session.markers_m @ turn.T + [1.5, -0.4, 0.8]
-    file = write_motive(tmp_path / "take.csv", session.mocap_s, moved_m)
-    code, _, err = importing(file, "motive", frame=frame)
-    assert code == 0, err
-    check(tmp_path / "trials" / "take.csv", session.first_s)
 
 
 @pytest.mark.parametrize(

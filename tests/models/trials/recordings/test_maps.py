@@ -45,6 +45,7 @@ def test_size_and_joints_are_those_of_the_link_unless_the_map_states_them(
     [
         ("step_s = 17\n", "", "", r"map\.toml: step_s"),
         ("colour = 'blue'\n", "", "", "colour"),
+        ("step_named = true\n", "", "", "step_named"),
         ("", "0.1", "'heavy'", "payload_kg"),
         ("", "\n[trial]", "\n[markers]\nm17 = 'x'\n[trial]", "'m17' is no marker"),
         ("", "4.352", "0.0", r"map\.toml: period_s is 0\.0"),

@@ -14,8 +14,8 @@ from firmware_py.core.motion import Motion
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
 from models.trials.checks.verdict import ImportVerdict
-from models.trials.pipeline import Inspection, Source
-from models.trials.recordings.mapping import read_mapping
+from models.trials.pipeline import Inspection
+from models.trials.recordings.mapping import Take, read_mapping
 from tests.models.trials.recordings.written_takes import ORIGIN_M, REST, WrittenTake, rigid_trial
 
 
@@ -43,9 +43,10 @@ def inspected(trial, directory, offset_s=None, **fields):
     """
     WrittenTake(offset_s=0.7, **fields).write(trial, directory, 1)
     verdict, refusal = ImportVerdict("take"), ""
-    source = Source(directory / "take.csv", "motive", directory / "servo.csv", offset_s)
+    mapping = read_mapping(directory / "map.toml")
+    take = Take(directory / "take.csv", mapping, directory / "servo.csv", offset_s)
     try:
-        Inspection(source, read_mapping(directory / "map.toml"), verdict).trial()
+        Inspection(take, "motive", verdict).trial()
     except InputError as error:
         refusal = str(error)
     findings = [(f.level, f.cause, f.text.replace("\xa0", " ")) for f in verdict.findings]

@@ -25,8 +25,8 @@ from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.log.sinks import McapSink, TickEncoder
 from models.shared.kinematics import base_corners_m, base_rotation
+from models.trials.recordings.frames import nominal_markers_m
 from models.trials.recordings.mapping import BASE_MARKERS
-from models.trials.recordings.series import nominal_markers_m
 from models.trials.trial import LINK_CONDITIONS, Array, Trial, TrialMeta
 
 RATE_HZ: Final = 120.0
@@ -40,23 +40,34 @@ TO_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
 def motive_export(
-    time_s: Array, labels: Sequence[str], places: Array, *, millimetres: bool = False
+    time_s: Array,
+    labels: Sequence[str],
+    places: Array,
+    *,
+    units: str = "Meters",
+    version: str = "1.23",
+    solved: bool = False,
 ) -> str:
-    """Export of Motive with measured markers; places (n, markers, 3) as they are in the file."""
-    columns = len(labels) * 3
-    each = [label for label in labels for _ in "XYZ"]
+    """Export of Motive with measured markers; places (n, markers, 3) as they are in the file.
+
+    With `solved`, a rigid body and the places where it expects its markers stand in front. The rows
+    of the header depend on the version.
+    """
+    columns = [("Marker", label, "Position", axis) for label in labels for axis in "XYZ"]
+    front = []
+    if solved:
+        front = [("Rigid Body", "Link", "Rotation", axis) for axis in "XYZW"]
+        front += [("Rigid Body", "Link", "Position", axis) for axis in "XYZ"]
+        front += [("Rigid Body Marker", n, "Position", axis) for _, n, _, axis in columns]
+    kinds, names, measures, axes = map(",".join, zip(*front, *columns, strict=True))
+    ids = [f",ID,{names}", f",Parent,{names}"] if version > "1.2" else []
     head = [
-        "Format Version,1.23,Take Name,take,Length Units,"
-        f"{'Millimeters' if millimetres else 'Meters'},Coordinate Space,Global",
-        "",
-        ",Type," + ",".join(["Marker"] * columns),
-        ",Name," + ",".join(each),
-        ",ID," + ",".join(each),
-        ",," + ",".join(["Position"] * columns),
-        "Frame,Time (Seconds)," + ",".join("XYZ" * len(labels)),
-    ]
+        f"Format Version,{version},Take Name,take,Length Units,{units},Coordinate Space,Global",
+        "", f",Type,{kinds}", f",Name,{names}", *ids, f",,{measures}",
+        f"Frame,Time (Seconds),{axes}",
+    ]  # fmt: skip
     rows = [
-        f"{k},{t:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
+        f"{k},{t:.6f}," + "9," * len(front) + ",".join("" if v != v else f"{v:.7f}" for v in row)
         for k, (t, row) in enumerate(zip(time_s, places.reshape(len(time_s), -1), strict=True))
     ]
     return "\n".join([*head, *rows]) + "\n"
@@ -184,7 +195,8 @@ class WrittenTake:
         present = [k for k, name in enumerate(names) if name.split(":")[1] not in self.absent]
         labels, places = [names[k] for k in present], in_file[:, present]
         times_s = np.arange(len(frames_s)) / self.rate_hz
-        path.write_text(motive_export(times_s, labels, places, millimetres=self.millimetres))
+        units = "Millimeters" if self.millimetres else "Meters"
+        path.write_text(motive_export(times_s, labels, places, units=units))
 
     def _write_servo(
         self, trial: Trial, path: Path, rng: np.random.Generator
