@@ -20,6 +20,7 @@ from hil.emulator.emulator import Releases
 from hil.sil import tick_budget
 from hil.sil.probe import PROBE_PERIOD_NS, ProbeRecord
 from hil.sil.timing_verdict import judge_timing, slots_needed, timing_junit
+from hil.verdict import Verdict
 
 MS = 1_000_000
 PERIOD_NS = 17 * MS
@@ -318,16 +319,14 @@ def test_the_parts_of_the_read_and_the_stages_add_up_to_the_period():
 
 
 @pytest.mark.parametrize("stage", ["wake", "read", "log"])
-def test_a_stage_over_its_budget_is_marked(stage):
+def test_a_stage_beyond_its_budget_is_reported_and_not_judged(stage):
     for excess_ns in (0, 1):
         records = staged_run(100)
         records[f"{stage}_ns"][-2:] = tick_budget.BUDGET_NS[stage] + excess_ns
         records["read_ns"][-2:] += MS if stage == "read" else 0
-        budget = budget_of(records)
-        over = [name for name, row in budget.stages.items() if not row.within_budget]
+        over = [k for k, row in budget_of(records).stages.items() if not row.within_budget]
         assert over == ([stage] if excess_ns else [])
-        marked = [line for line in table_of(budget) if line.endswith("over")]
-        assert [stage in line for line in marked] == [True] * excess_ns
+        assert judge_timing(records, 0.017).verdict is Verdict.PASS
 
 
 def test_the_longest_tick_sets_high_water_mark_and_least_slack():
