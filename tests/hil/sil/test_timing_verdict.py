@@ -152,6 +152,15 @@ def test_steal_time_while_the_tick_computes_is_the_hosts():
     assert judge(records).verdict == "inconclusive", "in stalls too short for a probe"
 
 
+def test_a_wait_no_longer_than_usual_is_not_the_hosts_though_the_emulator_waited():
+    records = run_of(100)
+    due = records["deadline_ns"] + MS
+    queued = np.full(len(due), 2 * MS)
+    quiet = probe_over(records, own_ns=0)
+    timing = judge_timing(records, 0.017, quiet, quiet, Releases(due, due, queued))
+    assert timing.host.max_ns < 100_000
+
+
 def test_a_late_reply_is_the_hosts_only_if_the_emulator_waited_in_the_run_queue():
     records = slow_run(18 * MS, wait_ns=17 * MS)
     start = int(records["deadline_ns"][500])
@@ -350,3 +359,4 @@ def test_lost_replies_are_listed_with_their_cost():
     assert (again.n, again.max_ns, again.missed_slots) == (1, 7 * MS + 20_000, 0)
     text = "\n".join(table_of(budget))
     assert "2 ticks without data" in text and "7.02 ms" in text
+    assert "wake: reference" in text
