@@ -152,6 +152,14 @@ def test_steal_time_while_the_tick_computes_is_the_hosts():
     assert judge(records).verdict == "inconclusive", "in stalls too short for a probe"
 
 
+@pytest.mark.parametrize(("steal_ns", "ticks"), [(499_999, 0), (500_000, 1)])
+def test_half_a_millisecond_of_host_time_makes_a_tick_preempted(steal_ns, ticks):
+    records = run_of(100)
+    records["preempted_ns"], records["steal_ns"][50] = 0, steal_ns
+    quiet = probe_over(records, own_ns=0)
+    assert judge_timing(records, 0.017, quiet, quiet).host.preempted_ticks == ticks
+
+
 def test_a_wait_no_longer_than_usual_is_not_the_hosts_though_the_emulator_waited():
     records = run_of(100)
     due = records["deadline_ns"] + MS
@@ -291,6 +299,14 @@ def test_junit_has_the_same_verdict(why):
     assert len(suite.findall("testcase/skipped")) == (timing.verdict == "inconclusive")
 
 
+def test_junit_fails_the_loop_for_its_own_misses_alone():
+    for steal_ns, failures in ((0, 1), (20 * MS, 0)):
+        records = slow_run(22 * MS)
+        records["steal_ns"][500] = steal_ns
+        suite = ET.fromstring(timing_junit(judge(records), {"line": "socket"}))
+        assert len(suite.findall("testcase/failure")) == failures
+
+
 PLAN = tick_budget.plan_times(plans(MODELS[54025].table, 2, 1_000_000)[0])
 
 
@@ -323,6 +339,7 @@ def test_the_parts_of_the_read_and_the_stages_add_up_to_the_period():
     assert (PLAN.transmission_ns + PLAN.servo_ns) * 1e-9 == pytest.approx(read_s, abs=1e-9)
     stages_ns = sum(row.p50_ns for row in budget.stages.values()) + MS
     assert stages_ns + budget.slack.p50_ns == PERIOD_NS
+    assert budget.exchange.plan_ns == PLAN.transmission_ns + PLAN.servo_ns + PLAN.write_ns
     assert budget.cpu_fraction == pytest.approx((len(STAGES) - 1) * 20_000 / PERIOD_NS)
     assert budget.lateness_against_reference == {"p50_ns": 2.0, "p99_ns": 2.0}
 
