@@ -29,7 +29,6 @@ from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.safety.states import SafetyState
 from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil
-from hil.sil.sil_options import programme_s
 from hil.sil.tip_errors import programme_part, true_tip_m
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel
@@ -84,7 +83,7 @@ def run_behind_servos(bundle: ModelBundle, motion: str, seconds: float, rig: str
         np.column_stack([records[f"angle_{j}_rad"] for j in joints]),
         np.column_stack([records[f"current_{j}_a"] for j in joints]),
         true_tip_m(records, result.outcome.truth),
-        np.where(stopping, "stop", programme_part(records["time_s"], programme_s(options))),
+        np.where(stopping, "stop", programme_part(records["time_s"], options.programme_s)),
     )  # fmt: skip
 
 

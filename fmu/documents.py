@@ -27,7 +27,6 @@ from firmware_py.core.input_files import read_text
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import LENGTH, symbol_of
-from firmware_py.system.targets import FMU_PARITY
 from fmu.fmpy_run import inputs_from_motion, panels_by_quantity, plot_panel, usual_payload_kg
 from fmu.fmu_models import MODEL_CARD, FmuParts, Kind
 from fmu.interface import FmiVariable, FmiVersion, Interface
@@ -41,6 +40,8 @@ from models.shared.pages import Figure, Paragraph, Section, Table, render_page
 
 Array = NDArray[np.float64]
 
+FMU_PARITY: Final = 1e-9
+"""Largest difference of an FMU from the interpreted model, in SI units. [assumed: a nanometre]"""
 FOLDER: Final = "extra/org.dropstitch"
 INPUTS, OUTPUTS = "example_in.csv", "example_ref.csv"
 _STEPS: Final = 256

@@ -84,11 +84,15 @@ class FmuRun:
 
     def plot(self) -> Figure:
         """Draw inputs and outputs over time; what a trial measured is dashed."""
-        return plot_run(self)
+        return _plot(self)
 
     def write(self, path: Path | str) -> Path:
         """Write time, inputs and outputs as CSV in SI units, one row per step."""
-        write_fmu_run(self, Path(path))
+        columns = [self.time_s, *self.columns.values()]
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow([TIME.name, *self.columns])
+            writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
         return Path(path)
 
     def rms_against_trial(self) -> dict[str, float]:
@@ -344,30 +348,10 @@ def _sweep(model: StepModel, angle_rad: Array) -> Array:
     return _columns(model, columns)
 
 
-# ---- Result files -------------------------------------------------------------------------------
+# ---- Figure --------------------------------------------------------------------------------------
 
 
-def write_fmu_run(run: FmuRun, path: Path) -> None:
-    """Write time, inputs and outputs as CSV in SI units, one row per step."""
-    columns = [run.time_s, *run.columns.values()]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([TIME.name, *run.columns])
-        writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
-
-
-def draw_run(run: FmuRun, path: Path) -> None:
-    """Write the figure of `plot_run` as SVG."""
-    import matplotlib.pyplot as plt
-
-    from models.shared.drawing import FILE_STYLE
-
-    figure = plot_run(run)
-    with plt.rc_context(FILE_STYLE):
-        figure.savefig(path, format="svg", metadata={"Date": None})
-
-
-def plot_run(run: FmuRun) -> Figure:
+def _plot(run: FmuRun) -> Figure:
     """Plot a run, one panel per quantity; trial dashed, predictions dotted."""
     import matplotlib.pyplot as plt  # a campaign's cases draw nothing
 

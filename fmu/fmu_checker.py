@@ -26,8 +26,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import AGE, IN_RANGE, PERIOD_S, feature_names, tip_names
 from firmware_py.inference.predictor import OnnxPredictor, Prediction
-from firmware_py.system.targets import FMU_PARITY
-from fmu.documents import ReferenceRun, read_reference_run
+from fmu.documents import FMU_PARITY, ReferenceRun, read_reference_run
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmpy_run import inputs_from_motion, usual_payload_kg
 from fmu.fmu_builder import HEADERS

@@ -7,7 +7,7 @@ last valid measurement, and the caller counts the reads since as its age.
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import IntEnum, unique
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +18,7 @@ __all__ = ["BusStatus", "ServoBus"]
 Array = NDArray[np.float64]
 
 
+@unique
 class BusStatus(IntEnum):
     """Result of one exchange with the servos; from TIMEOUT on, the data is not fresh."""
 

@@ -167,6 +167,7 @@ class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     zero_pulse: int
     current_a_per_lsb: float
     velocity_rpm_per_lsb: float
+    factory: dict[str, int] = {}
 
 
 class _Servos(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -199,7 +200,7 @@ def _models(servos: _Servos) -> dict[int, Model]:
             number=row.number,
             name=name,
             table=tables[row.family],
-            factory={Register(r): raw for r, raw in servos.families[row.family].factory.items()},
+            factory=_factory(servos.families[row.family].factory | row.factory),
             preset=servos.motors[row.motor],
             pulses_per_turn=row.pulses_per_turn,
             zero_pulse=row.zero_pulse,
@@ -208,6 +209,10 @@ def _models(servos: _Servos) -> dict[int, Model]:
         )
         for name, row in servos.models.items()
     }
+
+
+def _factory(values: dict[str, int]) -> dict[Register, int]:
+    return {Register(name): raw for name, raw in values.items()}
 
 
 def _cell(address: int, kind: str, access: str) -> RegisterField:

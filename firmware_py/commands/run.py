@@ -36,15 +36,12 @@ from firmware_py.core.errors import InputError, SafetyTrip
 from firmware_py.core.motion import KINDS
 from firmware_py.core.units import CPU_TIME, DURATION
 from firmware_py.goals.for_robot import (
-    GOALS_NOTE,
-    feedback_of_plan,
+    RunGoals,
+    goals_of_motion,
     goals_of_plan,
-    log_facts,
-    note_on_plant,
-    outside_facts,
+    goals_of_program,
     outside_goals,
 )
-from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
@@ -52,7 +49,7 @@ from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.range_check import RangeWatch
 from firmware_py.link.link_facts import facts_of_bundle
 from firmware_py.log.recorder import recording
-from firmware_py.log.recording import OUTSIDE, SLOTS_KEY
+from firmware_py.log.recording import SLOTS_KEY
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus, with_bundle_gains
 from firmware_py.summary import Ended, RunDocument, RunSummary
@@ -106,40 +103,27 @@ def run(args: argparse.Namespace) -> int:
     plan = read_tip_plan(args.plan) if args.plan is not None else None
     bundle = load_bundle(config, args.config)
     config = with_bundle_gains(config, bundle, args.config)
-    goals: GoalSource
-    correction, note = None, ""
-    if plan is not None:
-        goals = planned = goals_of_plan(plan, config, bundle)
-        note = note_on_plant(f"plan {args.plan}", plan.plant_sha256, plan.link, bundle)
-        correction = feedback_of_plan(plan, planned, config, bundle)
-    else:
-        goals = GoalTable(config.goals_rad(repeated=args.seconds is not None))
     slots = None if args.seconds is None else math.ceil(args.seconds / config.period_s)
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:
-        if args.goals is not None:
-            goals = outside = stack.enter_context(
-                outside_goals(args.goals, args.goal_map, config, bundle)
-            )
-            note = outside.note
+        goals = stack.enter_context(_goals(args, plan, config, bundle))
         bus = stack.enter_context(open_bus(config, clock))
         settings = bus.read_settings()
         unused = unused_payload(bundle, config.payload_kg)
         unlike = [*_unlike(config, bundle), *_uncompared(config, settings)]
-        _say("dropstitch", _origin(bundle), *unlike, unused, note)
+        _say("dropstitch", _origin(bundle), *unlike, unused, goals.note)
         # Goals of another program end when that program ends them.
-        last = goals.slots if slots is None and args.goals is None else slots
-        facts = {} if last is None else {SLOTS_KEY: str(last)}
-        facts |= {GOALS_NOTE: note} if note else {}
+        last = goals.source.slots if slots is None and args.goals is None else slots
+        facts = goals.metadata | ({} if last is None else {SLOTS_KEY: str(last)})
         telemetry, log = stack.enter_context(
-            _telemetry(config, args, bundle, settings, plan, facts)
+            _telemetry(config, args, bundle, settings, goals.name, facts)
         )
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         watch = RangeWatch(bundle)
         loop = build_loop(
-            config, watch, bus, clock, goals=goals, correction=correction, slots=slots,
-            telemetry=telemetry, counters=counters, service=service,
+            config, watch, bus, clock, goals=goals.source, correction=goals.correction,
+            slots=slots, telemetry=telemetry, counters=counters, service=service,
         )  # fmt: skip
         _say("dropstitch", *stack.enter_context(real_time(config.real_time)))
         summary = loop.run()
@@ -155,6 +139,19 @@ def run(args: argparse.Namespace) -> int:
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
     return NEGATIVE if lacking else DONE
+
+
+@contextlib.contextmanager
+def _goals(
+    args: argparse.Namespace, plan: TipPlan | None, config: RobotConfig, bundle: ModelBundle
+) -> Iterator[RunGoals]:
+    if args.goals is not None:
+        with outside_goals(args.goals, args.goal_map, config, bundle) as outside:
+            yield goals_of_program(outside)
+    elif plan is not None:
+        yield goals_of_plan(plan, config, bundle, f"plan {args.plan}")
+    else:
+        yield goals_of_motion(config, repeated=args.seconds is not None)
 
 
 def lacking_ticks(document: RunDocument) -> str:
@@ -289,25 +286,18 @@ def _telemetry(
     args: argparse.Namespace,
     bundle: ModelBundle,
     settings: Settings,
-    plan: TipPlan | None,
+    motion: str,
     facts: dict[str, str],
 ) -> Iterator[tuple[Telemetry, Path | None]]:
     if not (config.record or args.live):
         yield Telemetry(), None
         return
     started = datetime.now(UTC)
-    motion = config.motion.motion(config.dof).name if plan is None else plan.name
-    if args.goals is not None:
-        motion = OUTSIDE
     name = f"{started:%Y%m%dT%H%M%SZ}_{motion}"
     log_file = args.log or _free_log(args.config.parent / config.logs, name)
     log = log_file if config.record else None
     live = config.live if args.live else None
     metadata = log_metadata(config, bundle, started, settings) | facts
-    if plan is not None:
-        metadata |= log_facts(plan, config)
-    if args.goals is not None:
-        metadata |= outside_facts()
     with recording(log, config.dof, time.time_ns(), metadata, live) as telemetry:
         yield telemetry, log
 

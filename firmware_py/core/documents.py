@@ -13,8 +13,13 @@ from typing import ClassVar, TypeVar
 import msgspec
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.guarded_call import limited_memory
-from firmware_py.core.input_files import MOST_JSON_BYTES, check_json, convert, read_bytes
+from firmware_py.core.input_files import (
+    MOST_JSON_BYTES,
+    check_json,
+    convert,
+    limited_memory,
+    read_bytes,
+)
 from firmware_py.core.output_files import write_whole
 
 T = TypeVar("T", bound="Document")

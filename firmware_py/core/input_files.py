@@ -8,6 +8,7 @@ docs/files/readers.md.
 from __future__ import annotations
 
 import codecs
+import contextlib
 import hashlib
 import io
 import json
@@ -15,6 +16,7 @@ import lzma
 import os
 import re
 import stat
+import sys
 import tomllib
 import zipfile
 import zlib
@@ -25,11 +27,13 @@ from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 import msgspec
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.guarded_call import limited_memory
 from firmware_py.core.units import DATA_SIZE
 
 T = TypeVar("T")
 
+MEMORY_BYTES: Final = 350_000_000
+"""Additional memory for reading a file: an importer with 100 MB of loaded libraries stays below
+500 MB."""
 MOST_BYTES: Final = 100_000_000
 """Size of the largest file that is read: two hours of a trial of the link as CSV [assumed]."""
 MOST_CELLS: Final = 10_000_000
@@ -48,6 +52,41 @@ _UTF_16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MOST_KEY_DOTS: Final = 500
 """Most dots between separators of a TOML file; dotted keys take tomllib quadratic time."""
 _TOML_SEPARATOR: Final = re.compile(rb"[,\[\]{}=\n]")
+
+
+def limit_memory(memory_bytes: int = MEMORY_BYTES) -> tuple[int, int] | None:
+    """Limit the address space of this process to its present size and `memory_bytes` more.
+
+    Returns the previous soft and hard limits; None on systems without such a limit (not Linux).
+    """
+    if sys.platform != "linux":
+        return None
+    import resource
+
+    statm = Path("/proc/self/statm").read_text(encoding="ascii")
+    most = int(statm.split()[0]) * resource.getpagesize() + memory_bytes
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    known = [limit for limit in before if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min([most, *known]), before[1]))
+    return before
+
+
+@contextlib.contextmanager
+def limited_memory(
+    where: Path | str, remedy: str, memory_bytes: int = MEMORY_BYTES
+) -> Iterator[None]:
+    """Refuse a file if the code of the block needs more than `memory_bytes` of new memory."""
+    before = limit_memory(memory_bytes)
+    try:
+        yield
+    except MemoryError:
+        what = f"takes more than {DATA_SIZE.number(memory_bytes)} MB to read"
+        raise InputError(where, what, remedy) from None
+    finally:
+        if before is not None:
+            import resource
+
+            resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> BinaryIO:

@@ -1,4 +1,4 @@
-"""Atomic writing of files: the old content stays until the new one is complete."""
+"""Writing of files: directories, and files whose old content stays until the new is complete."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
+
+from firmware_py.core.errors import InputError
 
 
 @contextlib.contextmanager
@@ -34,3 +36,12 @@ def replacing(path: Path) -> Iterator[Path]:
 def write_whole(path: Path, data: bytes) -> None:
     with replacing(path) as scratch:
         scratch.write_bytes(data)
+
+
+def make_directory(path: Path, remedy: str) -> None:
+    """Make a directory and its parents, or refuse the name; an existing one is left alone."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        what = f"cannot be made a directory ({error.strerror})"
+        raise InputError(path, what, remedy) from None

@@ -1,4 +1,4 @@
-"""Goals for one robot: of a plan or of another program, checked against robot and bundle."""
+"""Goals of one run: of the motion, a plan or another program, checked against robot and bundle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -15,16 +15,28 @@ from firmware_py.config import RobotConfig
 from firmware_py.core.errors import InputError
 from firmware_py.goals.goal_channel import accepted_program
 from firmware_py.goals.goal_map import GoalMap, read_goal_map
+from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.outside_goals import OutsideGoals
 from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
-from firmware_py.goals.tip_feedback import TipFeedback
+from firmware_py.goals.tip_feedback import Correction, TipFeedback
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_facts import LinkFacts, facts_of_bundle, other_link
 from firmware_py.log.recording import OUTSIDE
 
-GOALS_NOTE: Final = "goals_note"
-"""Key of the sentence in the metadata of a log."""
+
+class RunGoals(NamedTuple):
+    """Goals of a run, and what its log says of them."""
+
+    source: GoalSource
+    name: str  # Name of the motion
+    facts: dict[str, str]  # Metadata of the log, which replace those of the configured motion
+    note: str = ""  # Warning that they were made with another plant than the bundle's, or ""
+    correction: Correction | None = None  # Feedback of the tip, which is added to the goals
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        return self.facts | ({"goals_note": self.note} if self.note else {})
 
 
 def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelBundle) -> str:
@@ -49,30 +61,45 @@ def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelB
     )
 
 
-def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> PlanGoals:
+def goals_of_motion(config: RobotConfig, *, repeated: bool) -> RunGoals:
+    """Return the goals of the configured motion, which run once or are repeated."""
+    table = GoalTable(config.goals_rad(repeated=repeated))
+    return RunGoals(table, config.motion.motion(config.dof).name, {})
+
+
+def goals_of_plan(
+    plan: TipPlan, config: RobotConfig, bundle: ModelBundle, where: str = ""
+) -> RunGoals:
     """Return the goals of a plan, for the known payload of the configuration or the estimated one.
 
     A plan for another robot, bundle or link is refused, and one that violates the limits.
     """
-    where = f"plan {plan.path}"
+    where = where or f"plan {plan.path}"
     _check_fit(where, plan, config, "plan for this robot")
     if plan.bundle_sha256 != bundle.manifest_sha256:
         raise InputError(
             where, f"was made for another bundle than {bundle.directory}",
             f"plan again with --bundle {bundle.directory}",
         )  # fmt: skip
-    note_on_plant(where, plan.plant_sha256, plan.link, bundle)  # refuses a plan of another link
+    note = note_on_plant(where, plan.plant_sha256, plan.link, bundle)
     if config.payload_kg is None and bundle.manifest.estimator != "observer":
         raise InputError(
             where, f"needs the payload, which the estimator {bundle.manifest.estimator!r} of the "
             "bundle does not tell", "give payload_kg, or use a bundle with the observer",
         )  # fmt: skip
     check_plan_goals(plan, config.limits_in_force, where)
-    return PlanGoals(plan, config.payload_kg, probes=config.feedback.use)
+    goals = PlanGoals(plan, config.payload_kg, probes=config.feedback.use)
+    facts = {
+        "motion": msgspec.json.encode(plan.conditions()).decode(),
+        "rest_samples": str(round(plan.rest_s / plan.period_s)),
+    }
+    if plan.probe is not None and config.feedback.use:
+        facts["probed"] = "true"
+    return RunGoals(goals, plan.name, facts, note, _feedback(where, plan, goals, config, bundle))
 
 
-def feedback_of_plan(
-    plan: TipPlan, goals: PlanGoals, config: RobotConfig, bundle: ModelBundle
+def _feedback(
+    where: str, plan: TipPlan, goals: PlanGoals, config: RobotConfig, bundle: ModelBundle
 ) -> TipFeedback | None:
     """Return the feedback of a plan; None if it has none, or if robot.toml switches it off."""
     if plan.feedback is None or not config.feedback.use:
@@ -80,26 +107,26 @@ def feedback_of_plan(
     places = innovation_places(bundle.signal_names, plan.dof)
     if not places:
         raise InputError(
-            f"plan {plan.path}", f"has feedback, but the estimator of {bundle.directory} does not "
+            where, f"has feedback, but the estimator of {bundle.directory} does not "
             "tell when it is wrong: it has no innovation of the currents",
             "use a bundle with the observer, or run the plan with --open-loop",
         )  # fmt: skip
     return TipFeedback(plan, goals, config.feedback, places, bundle.assume_payload)
 
 
+def goals_of_program(goals: OutsideGoals) -> RunGoals:
+    """Return the goals of another program.
+
+    Duration and amplitude are unknown when the log begins; readers derive them from the goals.
+    """
+    motion = msgspec.json.encode({"motion": OUTSIDE}).decode()
+    return RunGoals(goals, OUTSIDE, {"motion": motion, "rest_samples": "1"}, goals.note)
+
+
 def innovation_places(signals: Sequence[str], dof: int) -> list[int]:
     """Return the indices of the currents' innovations among the signals of an estimate."""
     names = [f"innovation_{j}_a" for j in range(1, dof + 1)]
     return [signals.index(name) for name in names if name in signals]
-
-
-def log_facts(plan: TipPlan, config: RobotConfig) -> dict[str, str]:
-    """Return the metadata of a plan's log, which replace those of the configured motion."""
-    probed = {"probed": "true"} if plan.probe is not None and config.feedback.use else {}
-    return probed | {
-        "motion": msgspec.json.encode(plan.conditions()).decode(),
-        "rest_samples": str(round(plan.rest_s / plan.period_s)),
-    }
 
 
 WAIT_S: Final = 60.0
@@ -150,11 +177,3 @@ def _check_fit(
         raise InputError(
             where, f"has a period of {goals.period_s:g} s, the robot {config.period_s:g} s", remedy
         )
-
-
-def outside_facts() -> dict[str, str]:
-    """Return the metadata of such a log, which replace those of the configured motion.
-
-    Duration and amplitude are unknown when the log begins; readers derive them from the goals.
-    """
-    return {"motion": msgspec.json.encode({"motion": OUTSIDE}).decode(), "rest_samples": "1"}

@@ -13,8 +13,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.guarded_call import limited_memory
-from firmware_py.core.input_files import Source, content_of
+from firmware_py.core.input_files import Source, content_of, limited_memory
 from firmware_py.core.signals import AGE, feature_names, observer_signals
 
 Array = NDArray[np.float64]

@@ -29,6 +29,7 @@ from typing import Final
 import msgspec
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import make_directory
 from firmware_py.core.standard_streams import lasting_streams
 from firmware_py.log.recording import require_packages
 from firmware_py.log.scene import SCENE_TOPIC, SceneEncoder, shape_in
@@ -74,7 +75,7 @@ def recording(
     """
     if path is not None:
         require_packages()
-        _make_directory(path.parent)
+        make_directory(path.parent, "name another directory for logs")
     if live is not None:
         require_live_package()
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -123,15 +124,6 @@ def _hand_over(task: RecorderTask, process: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(msgspec.json.encode(task))
             process.stdin.close()
-
-
-def _make_directory(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            path, f"cannot be made ({error.strerror})", "name another directory for logs"
-        ) from None
 
 
 def _await_start(ours: socket.socket) -> None:

@@ -43,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             f"--step {args.step}", "is not a step size", "choose more than 0, at most 1 s"
         )
-    from fmu.fmpy_run import draw_run, simulate_fmu
+    from fmu.fmpy_run import simulate_fmu
+    from models.shared.drawing import save_svg
     from models.trials.files import read_trial
 
     trial = read_trial(args.trial) if args.trial else None
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     )
     args.out.mkdir(parents=True, exist_ok=True)
     result.write(args.out / "result.csv")
-    draw_run(result, args.out / "result.svg")
+    save_svg(result.plot(), args.out / "result.svg")
     rms = result.rms_against_trial()
     data = {"rows": len(result.time_s), "out": str(args.out), "rms": rms, "units": result.units}
     lines = [f"{name:20s} {value:.4g} {result.units[name]} RMS" for name, value in rms.items()]

@@ -25,7 +25,7 @@ import msgspec
 
 from firmware_py.core.documents import Document, read_document, write_document
 from firmware_py.core.errors import InputError
-from firmware_py.core.output_files import write_whole
+from firmware_py.core.output_files import make_directory, write_whole
 from hil.campaign.cases import CampaignCase, canonical_json
 from hil.campaign.worker import CaseCost, CaseOutcome, State
 
@@ -68,11 +68,7 @@ class ResultStore:
         self.directory = directory
         self.shared, self.costs = directory / "shared", directory / "costs.csv"
         for path in (directory / "results", directory / "failures", self.shared):
-            try:
-                path.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                what = f"cannot be made a directory ({error.strerror})"
-                raise InputError(path, what, "name another --out") from None
+            make_directory(path, "name another --out")
 
     @contextmanager
     def locked(self) -> Iterator[None]:

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory, gettempdir
 from typing import Final
 
 from firmware_py.bus.servo_models import MODELS, model_named
-from firmware_py.core.console import DONE, Terminated, emit, terminations_raised
+from firmware_py.core.console import DONE, Progress, Terminated, emit, terminations_raised
 from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.system.clock import RealTimeOptions, real_time
@@ -87,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
             faults=parse_rates(args.faults), seed=args.seed,
         )  # fmt: skip
         if args.plant:  # last: it takes seconds
+            Progress("emulate", 1).begin("building the twin")
             twin = build_twin(args.plant, len(args.ids), Path(scratch))
             specification = replace(specification, source=twin)
 

@@ -19,6 +19,7 @@ import msgspec
 
 from firmware_py.core.console import emit
 from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import make_directory
 from firmware_py.inference.bundle import ModelBundle
 
 if TYPE_CHECKING:
@@ -64,12 +65,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             "--only", f"'{args.only}' leaves no fault", "see docs/safety/faults.md for names"
         )
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            args.out, f"cannot be made a directory ({error.strerror})", "name another --out"
-        ) from None
+    make_directory(args.out, "name another --out")
     with TemporaryDirectory(prefix="dropstitch-faults-") as scratch:
         plant = bundle.directory / "plant.json"
         fmu = args.fmu or build_twin(plant, bundle.manifest.dof, Path(scratch))

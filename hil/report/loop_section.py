@@ -328,7 +328,6 @@ def _duration_table(loop: LoopRun) -> Table:
     # The budget of the read is that of its own part, without the wait for the bus.
     budgets = {
         "read: own" if name == "read" else f"stage: {name}": TICK_TIME.number(stage.budget_p99_ns)
-        + ("" if stage.within_budget else ", over")
         for name, stage in parts.stages.items()
     }
     return Table(

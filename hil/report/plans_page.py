@@ -16,7 +16,6 @@ from firmware_py.core.units import ANGLE, LENGTH, POSITION, TIME
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.safety.estimate_trust import FADE_S, TrustState
-from firmware_py.system.targets import PATH_RMS_TO_RIGID
 from hil.report.bode import bode_panels
 from hil.report.build_inputs import read_loop
 from hil.report.build_page import EMULATED
@@ -67,6 +66,8 @@ WORDS: Final[dict[Knowledge, str]] = {
     "known": "plan, payload known",
     "unknown": "plan, payload estimated, second run",
 }
+PATH_RMS_TO_RIGID: Final = {"known": 1 / 25, "unknown": 1 / 20}
+"""Target of the RMS path error over that of rigid kinematics, by what is known of the payload."""
 RATIOS: Final = {"known": "known", "unknown": "estimated"}
 """Words for the payload, in the columns with the ratio to rigid kinematics."""
 

@@ -24,7 +24,6 @@ from firmware_py.core.units import (
     TIME,
     DisplayUnit,
 )
-from firmware_py.system.targets import DI_GAIN_DEGREE
 from hil.report.build_inputs import ALL_PHASES, BuildInputs, motion_words
 from models.predictor.document import PredictorsDocument, latency_text, scores_of
 from models.predictor.validation import COVERS, coverage_text
@@ -51,6 +50,8 @@ Studies = Mapping[str, StudyDocument]
 PLANES: Final = {"x–z plane": ("x", "z"), "from above": ("x", "y")}
 """Axes of each view of the tip."""
 TEST: Final = "trial_2"
+DI_GAIN_DEGREE: Final = "3"
+"""Degree of the polynomials at which the gain by the observer's DI is shown."""
 BY_DEGREE: Final = "Mean Euclidean distance in mm on trial 2 by degree"
 Look = tuple[str, str, str]
 """Label, colour and dash of a line."""

@@ -197,6 +197,21 @@ class SilOptions:
             return note_on_plant(f"plan {plan.path}", plan.plant_sha256, plan.link, self.bundle)
         return self.goals.note if self.goals is not None else ""
 
+    @property
+    def programme_s(self) -> dict[str, float]:
+        """Durations of the parts that the run repeats: rest, motion, glide back to zero."""
+        period_s = self.period_s
+        if (plan := self.plan) is not None:
+            rest = round(plan.rest_s / period_s)
+            rows = {"rest": rest, "motion": plan.end_row - rest, "glide": plan.rows - plan.end_row}
+            return {name: count * period_s for name, count in rows.items()}
+        if self.goals is not None:
+            return {"motion": self.seconds}
+        motion = self.motion.motion(self.dof)
+        parts_s = {"rest": self.motion.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
+        # The loop runs whole slots.
+        return {name: round(part_s / period_s) * period_s for name, part_s in parts_s.items()}
+
     def emulator(self, source: Path | RigSource) -> EmulatorSpecification:
         """Return the specification of the emulated servos with a plant behind them."""
         return EmulatorSpecification(
@@ -230,17 +245,3 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
         feedback=TrustOptions(use=not options.open_loop),
         real_time=RealTimeOptions(cpu=cpu),
     )
-
-
-def programme_s(options: SilOptions) -> dict[str, float]:
-    """Return the durations of the parts that the run repeats: rest, motion, glide back to zero."""
-    if (plan := options.plan) is not None:
-        rest = round(plan.rest_s / plan.period_s)
-        rows = {"rest": rest, "motion": plan.end_row - rest, "glide": plan.rows - plan.end_row}
-        return {name: count * plan.period_s for name, count in rows.items()}
-    if options.goals is not None:
-        return {"motion": options.seconds}
-    motion = options.motion.motion(options.dof)
-    parts_s = {"rest": options.motion.rest_s, "motion": motion.duration_s, "glide": GLIDE_S}
-    period_s = options.period_s  # the loop runs whole slots
-    return {name: round(part_s / period_s) * period_s for name, part_s in parts_s.items()}

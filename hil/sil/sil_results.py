@@ -21,7 +21,7 @@ from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended, RangeReasons, RunSummary
 from hil.emulator.emulator import EmulatorOutcome
 from hil.sil.probe import ProbeRecord
-from hil.sil.sil_options import SilOptions, programme_s
+from hil.sil.sil_options import SilOptions
 from hil.sil.tick_budget import describe_budget, measure_budget, plan_times
 from hil.sil.timing_document import (
     MoveFigures,
@@ -116,7 +116,7 @@ class SilResult:
     @cached_property
     def timing(self) -> TimingDocument:
         """Verdict and measurements, the content of `timing.json`."""
-        return timing_document(self, self.options)
+        return _timing_document(self)
 
     def text(self) -> str:
         """Return the verdict and the main figures as text."""
@@ -124,11 +124,11 @@ class SilResult:
 
     def plot(self) -> Figure:
         """Draw the error of the predicted tip, and when the ticks ended in their slots."""
-        return plot_summary(self, self.timing)
+        return _plot(self)
 
     def trial(self) -> Trial:
         """Return the run as a trial: the servos' measurements and the true tip."""
-        return as_trial(self, self.options)
+        return _trial_of(self)
 
     def write(self, out: Path | str | None = None) -> Path:
         """Write timing.json, timing.xml, trial and summary.svg; return the directory.
@@ -138,6 +138,8 @@ class SilResult:
         out : Path or str, optional
             Directory; by default that of the run, which holds the log.
         """
+        from models.shared.drawing import save_svg  # loads matplotlib
+
         directory = self.options.out if out is None else Path(out)
         directory.mkdir(parents=True, exist_ok=True)
         timing = self.timing
@@ -146,20 +148,14 @@ class SilResult:
         (directory / "timing.xml").write_bytes(timing_junit(timing, facts))
         if self.link and timing.prediction_error.n:
             write_trial(self.trial(), directory / "trial")
-        draw_summary(self, timing, directory / "summary.svg")
+        save_svg(self.plot(), directory / "summary.svg")
         return directory
 
 
-def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
-    """Judge a run and write all results except the log, which the recorder writes."""
-    result.write(options.out)
-    return result.timing
-
-
-def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
+def _timing_document(result: SilResult) -> TimingDocument:
     """Judge a run and return the contents of `timing.json`."""
-    summary, records, truth = result.summary, result.records, result.outcome.truth
-    programme, plan = programme_s(options), options.plan
+    options, summary, records = result.options, result.summary, result.records
+    truth, plan = result.outcome.truth, options.plan
     verdict = judge_timing(
         records,
         options.period_s,
@@ -168,7 +164,7 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
         result.outcome.releases,
         stopped=summary.reason if summary.ended is Ended.TRIPPED else "",
         faults=summary.faults,
-        interrupted=_interrupted(result, options),
+        interrupted=_interrupted(result),
         miss_rate=1.0 if options.line == "virtual" else options.miss_rate,
     )
     reference, bus_times = result.loop_cpu.jitter(), plan_times(result.bus_plan)
@@ -191,7 +187,7 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
             bus_faults=summary.bus_faults,
             faults_injected=result.outcome.faults,
             telemetry_drops=summary.telemetry_drops,
-            programme_s=programme,
+            programme_s=options.programme_s,
             feedback=summary.feedback,
             payload_note=payload_note,
             out_of_range=summary.out_of_range,
@@ -200,29 +196,29 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
         reference_jitter=reference,
         bus_plan=bus_times,
         tick_budget=measure_budget(records, options.period_s, bus_times, reference),
-        prediction_error=prediction_error(records, truth, programme),
+        prediction_error=prediction_error(records, truth, options.programme_s),
         path_errors=errors,
         moves=moves,
     )
 
 
-def _interrupted(result: SilResult, options: SilOptions) -> str:
+def _interrupted(result: SilResult) -> str:
     """Sentence on a signal that ended the run early, with the slots completed by then; or ""."""
     summary = result.summary
     if summary.ended is not Ended.SIGNALLED:
         return ""
     in_motion = result.records["state"] < SafetyState.STOPPING
     ran = max(int(result.records["tick"][in_motion].max(initial=-1)) + 1, 0)
-    return f"{summary.reason} ended the run after {ran} of {options.slots} slots"
+    return f"{summary.reason} ended the run after {ran} of {result.options.slots} slots"
 
 
-def as_trial(result: SilResult, options: SilOptions) -> Trial:
-    """Return the run as a trial: the servos' measurements and the true tip.
+def _trial_of(result: SilResult) -> Trial:
+    """Return the run as a trial.
 
     The emulator has no markers, so their cells stay empty. A trial has a uniform time step, so
     skipped slots and ticks without fresh data are interpolated; the notes count them.
     """
-    records = result.records
+    options, records = result.options, result.records
     tip = true_tip_m(records, result.outcome.truth)
     fresh = np.isfinite(tip[:, 0])
     grid = np.arange(records["tick"][0], records["tick"][-1] + 1)
@@ -267,18 +263,7 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
     return Trial("sil", meta, columns)
 
 
-def draw_summary(result: SilResult, timing: TimingVerdict, path: Path) -> None:
-    import matplotlib as mpl
-
-    from models.shared.drawing import FILE_STYLE
-
-    figure = plot_summary(result, timing)
-    with mpl.rc_context(FILE_STYLE):
-        figure.savefig(path, metadata={"Date": None})
-
-
-def plot_summary(result: SilResult, timing: TimingVerdict) -> Figure:
-    """Error of the predicted tip over time, and a histogram of the ends of the ticks."""
+def _plot(result: SilResult) -> Figure:
     from matplotlib import pyplot
 
     from models.shared.drawing import FILE_STYLE
@@ -287,8 +272,8 @@ def plot_summary(result: SilResult, timing: TimingVerdict) -> Figure:
         figure: Figure = pyplot.figure(figsize=(8, 5), layout="constrained")
         error, ends = figure.subplots(2)
         _draw_error(error, result)
-        _draw_ends(ends, result, timing)
-        figure.suptitle(f"{timing.verdict}: {timing.reason}")
+        _draw_ends(ends, result.records, result.timing)
+        figure.suptitle(f"{result.timing.verdict}: {result.timing.reason}")
         pyplot.close(figure)
     return figure
 
@@ -308,9 +293,8 @@ def _draw_error(axes: Axes, result: SilResult) -> None:
     axes.legend(ncols=2)
 
 
-def _draw_ends(axes: Axes, result: SilResult, timing: TimingVerdict) -> None:
+def _draw_ends(axes: Axes, records: NDArray[np.void], timing: TimingVerdict) -> None:
     """Histogram of the ends of the ticks in their slots, with the deadline in it."""
-    records = result.records
     end_ms = TICK_TIME.shown(records["lateness_ns"] + records["busy_ns"])
     own_ms = TICK_TIME.shown(records["busy_ns"] - records["bus_wait_ns"])
     deadline_ms = float(TICK_TIME.shown(timing.targets.period_ns))

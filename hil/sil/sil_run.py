@@ -23,28 +23,25 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.config import RobotConfig, check_config
 from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import make_directory
 from firmware_py.goals.for_robot import (
-    GOALS_NOTE,
-    feedback_of_plan,
+    RunGoals,
+    goals_of_motion,
     goals_of_plan,
-    log_facts,
-    outside_facts,
+    goals_of_program,
 )
-from firmware_py.goals.goal_source import GoalSource
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.range_check import RangeWatch
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SLOTS_KEY
-from firmware_py.log.telemetry import SocketTelemetry, Telemetry
-from firmware_py.loop import ControlLoop
+from firmware_py.log.telemetry import SocketTelemetry
 from firmware_py.robot import build_bus, build_loop, log_metadata, open_bus
-from firmware_py.system.clock import Clock, DeadlineClock, SimClock, real_time
-from firmware_py.system.kernel_counters import Counters, KernelCounters
+from firmware_py.system.clock import DeadlineClock, SimClock, real_time
+from firmware_py.system.kernel_counters import KernelCounters
 from hil.emulator.emulator import (
     Emulator,
     EmulatorOutcome,
@@ -132,21 +129,12 @@ def _run(options: SilOptions, scratch: Path) -> SilResult:
         source = build_twin(plant, options.dof, scratch)
     specification = options.emulator(source)
     check_config(sil_config(options, options.line), "--baud")
-    _make(options.out)
+    make_directory(options.out, "name another --out")
     if options.line == "virtual":
         result = _run_on_virtual_line(options, specification)
     else:
         result = _run_in_real_time(options, options.line, specification, scratch)
     return replace(result, link=_link_conditions(source, options))
-
-
-def _make(directory: Path) -> None:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            directory, f"cannot be made a directory ({error.strerror})", "name another --out"
-        ) from None
 
 
 def _run_on_virtual_line(options: SilOptions, specification: EmulatorSpecification) -> SilResult:
@@ -155,14 +143,17 @@ def _run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificati
     line, truth_log = build_line(specification)
     config = sil_config(options, "virtual")
     bus = build_bus(config, VirtualTransport(line, clock), clock)
-    watch = RangeWatch(options.bundle)
-    loop = _build_loop(options, watch, config, bus, clock, Telemetry(), Counters())
+    goals, watch = _goals(options, config), RangeWatch(options.bundle)
+    loop = build_loop(
+        config, watch, bus, clock, goals=goals.source, correction=goals.correction,
+        slots=options.slots, keep=_ticks(options, goals),
+    )  # fmt: skip
     start_s, start_busy_s = time.perf_counter(), time.process_time()
     summary = loop.run()
     wall_s, busy_s = time.perf_counter() - start_s, time.process_time() - start_busy_s
     if options.log:
         # The recorder works in real time, so it gets the ticks after the simulated run.
-        with _recording(options, config) as telemetry:
+        with _recording(options, config, goals) as telemetry:
             for record in summary.records:
                 _put(telemetry, record.tobytes())
     truth = truth_log.truth()
@@ -189,12 +180,12 @@ def _run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificati
 
 def _put(telemetry: SocketTelemetry, record: bytes) -> None:
     """Send a record, and retry until the recorder accepts it."""
-    drops = telemetry.drops
-    telemetry.put(memoryview(record))
-    while telemetry.drops > drops:
-        time.sleep(1e-3)
+    while True:
         drops = telemetry.drops
         telemetry.put(memoryview(record))
+        if telemetry.drops == drops:
+            return
+        time.sleep(1e-3)
 
 
 def _run_in_real_time(
@@ -211,7 +202,8 @@ def _run_in_real_time(
         enter = stack.enter_context
         emulator = enter(contextlib.closing(Emulator(specification, line, scratch, line_cpu)))
         config = sil_config(options, emulator.name, loop_cpu)
-        telemetry = enter(_recording(options, config))
+        goals = _goals(options, config)
+        telemetry = enter(_recording(options, config, goals))
         enter(cpu_load(options.load, other_cpus))
         # Only on a machine with a single processor does the emulator share it with the loop.
         neighbours = (emulator.pid,) if line_cpu == loop_cpu else ()
@@ -223,7 +215,11 @@ def _run_in_real_time(
             real_time(config.real_time) as refused,
         ):
             watch = RangeWatch(options.bundle)
-            loop = _build_loop(options, watch, config, bus, clock, telemetry, counters)
+            loop = build_loop(
+                config, watch, bus, clock, goals=goals.source, correction=goals.correction,
+                slots=options.slots, telemetry=telemetry, counters=counters,
+                keep=_ticks(options, goals),
+            )  # fmt: skip
             start_s = time.perf_counter()
             summary = loop.run()
             wall_s = time.perf_counter() - start_s
@@ -244,45 +240,36 @@ def _run_in_real_time(
         )  # fmt: skip
 
 
-def _build_loop(
-    options: SilOptions,
-    watch: RangeWatch,
-    config: RobotConfig,
-    bus: ServoBus,
-    clock: Clock,
-    telemetry: Telemetry,
-    counters: Counters,
-) -> ControlLoop:
-    """Return the robot's loop, with memory for every tick of the run."""
-    slots = options.slots
+def _goals(options: SilOptions, config: RobotConfig) -> RunGoals:
+    """Return the goals of the run; the robot assumes its payload first."""
     options.bundle.assume_payload(config.payload_kg)
-    goals: GoalSource | None = options.goals
-    correction, plan = None, options.plan
-    if plan is not None:
-        goals = planned = goals_of_plan(plan, config, options.bundle)
-        correction = feedback_of_plan(plan, planned, config, options.bundle)
-    lead = goals.lead if goals is not None else 0
-    return build_loop(
-        config, watch, bus, clock, goals=goals, correction=correction, slots=slots,
-        telemetry=telemetry, counters=counters, keep=lead + slots + _STOP_TICKS,
-    )  # fmt: skip
+    if options.goals is not None:
+        return goals_of_program(options.goals)
+    if options.plan is not None:
+        return goals_of_plan(options.plan, config, options.bundle)
+    return goals_of_motion(config, repeated=True)
+
+
+def _ticks(options: SilOptions, goals: RunGoals) -> int:
+    """Return the largest number of ticks of the run, all of which stay in memory."""
+    return goals.source.lead + options.slots + _STOP_TICKS
 
 
 @contextlib.contextmanager
-def _recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTelemetry]:
+def _recording(
+    options: SilOptions, config: RobotConfig, goals: RunGoals
+) -> Iterator[SocketTelemetry]:
     """Run the robot's recorder during the block."""
     # The payload is recorded for the import of the log, even if the observer has to estimate it.
-    metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
-        "payload_kg": repr(options.payload_kg),
-        "source": "sil",
-        SLOTS_KEY: str(options.slots),
-    }
-    if options.plan is not None:
-        metadata |= log_facts(options.plan, config)
-    if options.goals is not None:
-        metadata |= outside_facts()
-    if note := options.goals_note:
-        metadata[GOALS_NOTE] = note
+    metadata = (
+        log_metadata(config, options.bundle, datetime.now(UTC))
+        | {
+            "payload_kg": repr(options.payload_kg),
+            "source": "sil",
+            SLOTS_KEY: str(options.slots),
+        }
+        | goals.metadata
+    )
     path = options.out / LOG_NAME
     path.unlink(missing_ok=True)  # the log of an earlier run
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:

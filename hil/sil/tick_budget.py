@@ -167,17 +167,16 @@ def describe_budget(budget: TickBudget, own_cost: Percentiles, reference: Percen
     """
     rows: dict[str, tuple[Percentiles, str]] = {}
     for stage, measured in budget.stages.items():
-        limit = f"{CPU_TIME.number(measured.budget_p99_ns):>8}"
-        over = "" if measured.within_budget else "  over"
-        rows["read: own" if stage == "read" else stage] = measured, limit + over
+        limit = f"{CPU_TIME.number(measured.budget_p99_ns):>13}"
+        rows["read: own" if stage == "read" else stage] = measured, limit
         if stage == "wake":
             rows["wake: reference"] = reference, ""
         if stage == "read":
             for part in ("transmission", "servo", "wait"):
                 rows[f"read: {part}"] = budget.read[part], ""
     rows["own cost"] = own_cost, ""
-    rows["slack"] = budget.slack, f"least {CPU_TIME.number(budget.slack.min_ns)}"
-    lines = [f"{'stage, µs':18} " + " ".join(f"{name:>8}" for name in (*LABELS, "budget"))]
+    rows["slack"] = budget.slack, f"{'least ' + CPU_TIME.number(budget.slack.min_ns):>13}"
+    lines = [f"{'stage, µs':18} " + " ".join(f"{name:>8}" for name in LABELS) + " budget of p99"]
     for name, (row, note) in rows.items():
         numbers = " ".join(f"{CPU_TIME.number(getattr(row, f)):>8}" for f in LABELS.values())
         lines.append(f"{name:18} {numbers} {note}".rstrip())

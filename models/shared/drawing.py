@@ -8,11 +8,13 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import ArrayLike
@@ -39,6 +41,12 @@ STYLE: Final = {
 """matplotlib's settings for drawings inside a page."""
 FILE_STYLE: Final = STYLE | {"figure.facecolor": PAPER, "savefig.facecolor": PAPER}
 """The same for pictures in separate files."""
+
+
+def save_svg(figure: Figure, path: Path) -> None:
+    """Save a picture in a file of its own; equal pictures give equal bytes."""
+    with plt.rc_context(FILE_STYLE):
+        figure.savefig(path, format="svg", metadata={"Date": None})
 
 
 class Drawing:

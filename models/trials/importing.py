@@ -18,11 +18,11 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.guarded_call import SECONDS, guarded_call
 from firmware_py.core.input_files import MOST_BYTES
 from firmware_py.core.units import DURATION
 from models.shared.output_paths import check_output_directory
 from models.trials.files import check_trial_name, read_trial
+from models.trials.guarded_call import SECONDS, guarded_call
 from models.trials.pipeline import import_take
 from models.trials.recordings.mapping import RecordingMap, Take, find_takes, read_mapping
 from models.trials.trial import Trial

@@ -42,6 +42,7 @@ def test_the_servo_turns_angles_into_pulses_and_back():
     assert model.position_raw(0.0) == 2048 and model.position_raw(np.pi / 2) == 3072
     assert model.angle_rad(3072) == pytest.approx(np.pi / 2)
     assert Register.BUS_WATCHDOG in model.table
+    assert model.factory[Register.CURRENT_LIMIT] == 2047 and Register.SHUTDOWN in model.factory
 
 
 def test_the_fault_ends_as_its_row_says(monkeypatch, tmp_path):

@@ -81,10 +81,8 @@ class SilCaseOptions(MotionOptions, frozen=True, kw_only=True):
 
 def run_in_software(case: SilCaseOptions, scratch: Path) -> dict[str, Any]:
     from hil.sil import run_sil  # loads CasADi and matplotlib
-    from hil.sil.sil_results import timing_document
 
-    options = _options(case, scratch)
-    document = timing_document(run_sil(options), options)
+    document = run_sil(_options(case, scratch)).timing
     if document.interrupted:  # an incomplete run is no result
         raise InputError("run", document.interrupted, "run the campaign again")
     stale = sum(n for status, n in document.run.bus_faults.items() if status not in FRESH)

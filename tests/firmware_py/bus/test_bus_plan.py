@@ -40,6 +40,11 @@ def test_too_slow_a_bus_is_refused_with_the_numbers_and_the_rate_that_will_do():
         require_any(plans(PRO_P, 4, 57_600), available_s(0.017, 0.008), "robot.toml")
 
 
+def test_transmission_gets_the_period_less_a_reserve_or_the_timeout_if_that_is_shorter():
+    assert available_s(0.005, 0.008) == pytest.approx(0.003)
+    assert available_s(0.017, 0.008) == 0.008
+
+
 @given(
     table=st.sampled_from([model.table for model in MODELS.values()]),
     servos=st.integers(1, 20),

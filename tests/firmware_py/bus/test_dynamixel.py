@@ -62,7 +62,9 @@ def test_connecting_switches_torque_off_and_clears_a_tripped_watchdog():
     assert registers(transport, Register.BUS_WATCHDOG) == [0, 0]
 
 
-@pytest.mark.parametrize(("period_s", "units"), [(0.017, 3), (0.020, 3), (0.030, 5), (0.004, 1)])
+@pytest.mark.parametrize(
+    ("period_s", "units"), [(0.017, 3), (0.020, 3), (0.030, 5), (0.004, 1), (0.846, 127)]
+)
 def test_torque_arms_a_watchdog_of_at_least_three_periods(period_s, units):
     bus, transport, _ = make(PRO_A, PRO_A, period_s=period_s)
     bus.connect()

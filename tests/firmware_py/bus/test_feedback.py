@@ -202,6 +202,7 @@ class Flood:
 
     def read(self, size, deadline_ns):
         self.late_reads += self.clock.now_ns() >= deadline_ns
+        assert size <= 1024, "a long read would outlast the deadline"
         self.bytes += size
         self.clock.advance(size * self.pace_ns)
         return bytes(itertools.islice(self.stream, size))

@@ -1,5 +1,6 @@
 """Port under deadlines, over bytes in memory, a socket and a pseudo-terminal."""
 
+import fcntl
 import os
 import socket
 import threading
@@ -7,6 +8,7 @@ import tty
 
 import pytest
 
+from firmware_py.bus import transport as transport_module
 from firmware_py.bus.port import DeadlinePort
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.transport import open_transport
@@ -100,6 +102,25 @@ def test_a_full_line_accepts_what_fits_and_does_not_block(line):
             break
     assert accepted == 0
     assert sent > 0
+
+
+def test_a_usb_adapter_is_asked_to_pass_bytes_on_at_once(monkeypatch):
+    asked, kernels, get, set_ = [], fcntl.ioctl, 0x541E, 0x541F  # TIOCGSERIAL, TIOCSSERIAL
+
+    def ioctl(fd, request, *rest):  # of an adapter whose driver has the settings
+        if request not in (get, set_):
+            return kernels(fd, request, *rest)
+        asked.append((request, rest[0][4]))
+
+    monkeypatch.setattr(transport_module.fcntl, "ioctl", ioctl)
+    master, slave = os.openpty()
+    try:
+        open_transport(os.ttyname(slave), 1_000_000, DeadlineClock()).close()
+    finally:
+        os.close(master)
+        os.close(slave)
+    low_latency = 1 << 13
+    assert asked == [(get, 0), (set_, low_latency)]
 
 
 @pytest.mark.parametrize("name", ["/dev/no-such-adapter", "unix:/tmp/no-such-line"])

@@ -14,7 +14,7 @@ from firmware_py.bus.registers import (
     RegisterField,
     describe_alert,
 )
-from firmware_py.bus.servo_models import MODELS, check_servo, model_named
+from firmware_py.bus.servo_models import MODELS, ServoGains, check_servo, model_named
 from firmware_py.core.errors import InputError
 
 models = st.sampled_from(list(MODELS.values()))
@@ -76,6 +76,11 @@ def test_thirty_degrees_are_as_many_pulses_as_published(number, pulses):
     model = MODELS[number]
     assert model.position_raw(math.radians(30.0)) == pulses
     assert model.position_raw(math.radians(-30.0)) == -pulses
+
+
+def test_only_the_gains_that_are_stated_are_compared():
+    gains = ServoGains(position_p=800, velocity_i=0)
+    assert gains.registers() == {Register.POSITION_P_GAIN: 800, Register.VELOCITY_I_GAIN: 0}
 
 
 def test_an_unknown_model_is_refused_with_the_known_ones():

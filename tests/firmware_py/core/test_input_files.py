@@ -1,21 +1,38 @@
 """Files of every wrong kind: one sentence each, and nothing allocated before it."""
 
 import os
+import resource
+import sys
 
+import numpy as np
+import onnx
 import pytest
+from onnx import TensorProto, helper, numpy_helper
 
 from firmware_py.config import read_config
 from firmware_py.core import input_files
 from firmware_py.core.documents import read_document
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import read_bytes, read_json, read_lines, read_text, read_toml
+from firmware_py.core.input_files import (
+    limited_memory,
+    read_bytes,
+    read_json,
+    read_lines,
+    read_text,
+    read_toml,
+)
 from firmware_py.core.motion import read_motion_document
 from firmware_py.inference.bundle import read_manifest
+from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.summary import RunDocument
 from models.plan.paths import read_path
 from models.plant.plant import read_plant
 from models.rig.parameters import read_parameters
 from models.trials.recordings.mapping import read_mapping
+
+linux_only = pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux limits the address space"
+)
 
 READERS = {
     "robot.toml": read_config, "motion.toml": read_motion_document, "plant.toml": read_plant,
@@ -124,3 +141,55 @@ def test_texts_of_libraries_and_files_stay_on_one_line():
     error = InputError("a\nb", "first\nsecond\x1b[31m" + "x" * 5000, "do\tthis")
     assert str(error).isprintable() and len(str(error)) < 2000
     assert str(error).startswith("a b: first second\\x1b[31m")
+
+
+# --- memory -----------------------------------------------------------------------------------
+
+
+@linux_only
+def test_more_memory_than_permitted_is_refused_and_the_limit_ends_with_it():
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    with (
+        pytest.raises(InputError, match=r"^a: takes more than 50 MB to read; b\.$"),
+        limited_memory("a", "b", 50_000_000),
+    ):
+        tight = resource.getrlimit(resource.RLIMIT_AS)
+        with limited_memory("a", "b", 500_000_000):
+            assert resource.getrlimit(resource.RLIMIT_AS) == tight, "it is not loosened"
+        bytearray(2_000_000_000)  # no hole of the heap is as large
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
+@linux_only
+def test_json_that_grows_in_memory_is_refused(tmp_path, monkeypatch):
+    """A single wide character makes four bytes of each."""
+    (tmp_path / "a.json").write_text('["😀' + "x" * 45_000_000 + '"]', encoding="utf-8")
+    monkeypatch.setattr(
+        input_files, "limited_memory",
+        lambda where, remedy: limited_memory(where, remedy, 50_000_000),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="takes more than 50 MB to read"):
+        read_json(tmp_path / "a.json", "write it again")
+
+
+@linux_only
+def test_a_small_graph_that_makes_large_numbers_is_refused(tmp_path):
+    shape = numpy_helper.from_array(np.array([200_000_000], np.int64), "shape")
+    nodes = [
+        helper.make_node("ConstantOfShape", ["shape"], ["zeros"]),
+        helper.make_node("ReduceMean", ["zeros"], ["mean"], keepdims=1),
+        helper.make_node("Cast", ["mean"], ["zero"], to=TensorProto.DOUBLE),
+        helper.make_node("Add", ["features", "zero"], ["tip_m"]),
+        helper.make_node("Identity", ["tip_m"], ["half_width_m"]),
+        helper.make_node("ReduceMean", ["tip_m"], ["in_range"], axes=[1]),
+    ]
+    values = {"features": 3, "tip_m": 3, "in_range": 1, "half_width_m": 3}
+    row, *results = (
+        helper.make_tensor_value_info(name, TensorProto.DOUBLE, [1, width])
+        for name, width in values.items()
+    )
+    graph = helper.make_graph(nodes, "large", [row], results, [shape])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=7)
+    onnx.save(model, tmp_path / "predictor.onnx")
+    with pytest.raises(InputError, match=r"cannot be evaluated|onnxruntime can load"):
+        OnnxPredictor(tmp_path / "predictor.onnx", 1)

@@ -68,6 +68,13 @@ def test_encoder_jump_at_its_limit(sign, beyond, stops):
     assert stops_after_three(supervisor, there, back, there) == [False, False, stops]
 
 
+def test_a_good_sample_between_outliers_starts_the_count_again():
+    supervisor, outlier = started(), {"current": 5.0}
+    samples = [outlier, outlier, {}, outlier, outlier, outlier]
+    stopped = [check(supervisor, **sample) is SafetyState.STOPPING for sample in samples]
+    assert stopped == [False] * 5 + [True]
+
+
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", ["tip_min_m", "tip_max_m"])
 @around_the_limit

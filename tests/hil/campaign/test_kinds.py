@@ -56,7 +56,7 @@ class StopRequest(Telemetry):
 
 
 def test_a_part_of_a_run_in_software_is_no_result(tmp_path, toy_bundle, monkeypatch):
-    monkeypatch.setattr("hil.sil.sil_run.Telemetry", StopRequest)
+    monkeypatch.setattr("firmware_py.loop.Telemetry", StopRequest)
     kind, _ = load_kind("sil")
     with pytest.raises(InputError, match=r"SIGTERM ended the run after \d of 59 slots"):
         result_of(kind, tmp_path, bundle=str(toy_bundle), seconds=1.0)

@@ -14,7 +14,7 @@ from firmware_py.inference.estimator import NoEstimator
 from firmware_py.summary import Ended
 from hil.emulator.physics import RigSource
 from hil.emulator.rig_physics import RigPhysics
-from hil.sil import SilOptions, run_sil, write_results
+from hil.sil import SilOptions, run_sil
 from hil.sil.timing_document import read_timing
 from hil.sil.tip_errors import true_tip_m
 from tests.hil.faults.toy_robot import StillPredictor
@@ -76,7 +76,9 @@ def test_time_that_is_too_short_for_a_step_is_not_lost():
 @pytest.mark.slow
 def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
     options = replace(options, rig=RigSource({"prebend": 0.01}))
-    timing = write_results(run_sil(options), options)
+    result = run_sil(options)
+    result.write()
+    timing = result.timing
     assert timing.environment.behind_the_servos == "rig"
     assert timing.environment.hidden == {"prebend": 0.01}
     assert (options.out / "trial" / "sil.csv").is_file()

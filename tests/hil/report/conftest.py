@@ -18,7 +18,7 @@ from firmware_py.link.link_facts import STUDY_FACTS
 from fmu.fmu_checker import check_fmu
 from hil.emulator.physics import build_twin
 from hil.report.plans_page import PlannedRun, plans_page
-from hil.sil import SilOptions, run_sil, write_results
+from hil.sil import SilOptions, run_sil
 from models.bundle.train import name_tests
 from models.gap.decision.certainty import Answers
 from models.gap.report.gap_json import (
@@ -93,7 +93,7 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
         bundle=ModelBundle.load(toy_bundle), model=MODELS[54024], out=directory / "sil_1dof",
         fmu=twin, line="virtual", seconds=3.0,
     )  # fmt: skip
-    write_results(run_sil(options), options)
+    run_sil(options).write()
     (directory / "commands.log").write_text("\n".join([COMMANDS[0], *COMMANDS]) + "\n")
     return directory
 
@@ -181,7 +181,8 @@ def gap_build(build, toy_trials, toy_bundle, tmp_path_factory):
             name = directory / f"fmpy_{variant}_{kg}"
             options = ["--trial", str(trial), "--out", str(name), "--json"]
             with pytest.MonkeyPatch.context() as patch:  # the page does not show this drawing
-                patch.setattr("fmu.fmpy_run.draw_run", lambda *_: None)
+                patch.setattr("fmu.fmpy_run.FmuRun.plot", lambda _: None)
+                patch.setattr("models.shared.drawing.save_svg", lambda *_: None)
                 output = command(["fmu", "simulate", str(fmu), *options])
             name.with_suffix(".json").write_text(output)
         for kg in ("0", "2"):

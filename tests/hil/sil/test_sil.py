@@ -32,7 +32,7 @@ from fmu.fmu_builder import build_fmu
 from hil.commands.sil import describe_sil
 from hil.emulator.emulator import Truth
 from hil.emulator.physics import RigSource
-from hil.sil import SilOptions, run_sil, write_results
+from hil.sil import SilOptions, run_sil
 from hil.sil.sil_run import LOG_NAME
 from hil.sil.timing_document import read_timing
 from hil.sil.tip_errors import prediction_error, true_tip_m
@@ -157,7 +157,8 @@ def test_faults_of_the_line_are_survived_or_stop_the_robot(options, faults, ende
 def test_a_run_leaves_log_trial_and_verdict(options):
     chosen = options(2, motion=MotionConfig(phase_2_rad=math.pi / 2), faults={"lost": 0.1})
     result = run_sil(chosen)
-    timing = write_results(result, chosen)
+    result.write()
+    timing = result.timing
     assert read_timing(chosen.out / "timing.json") == timing
     assert '"verdict": "pass"' in (chosen.out / "timing.json").read_text(), ".ci/run reads it"
     assert ET.parse(chosen.out / "timing.xml").getroot().tag == "testsuite"
@@ -180,7 +181,7 @@ def test_a_run_leaves_log_trial_and_verdict(options):
 def test_the_verdict_on_a_run_in_real_time_follows_from_its_evidence(options, line):
     chosen = options(line=line, seconds=1.0)
     result = run_sil(chosen)
-    timing, records = write_results(result, chosen), result.records
+    timing, records = result.timing, result.records
     assert result.summary.faults <= {Fault.DATA, Fault.SLOTS}, "a host can hold these up, no more"
     # Slots are lost where a tick ended after its slot, and nowhere else.
     late = records["lateness_ns"] + records["busy_ns"] > 17_000_000
@@ -215,7 +216,7 @@ def test_a_run_in_real_time_fails_where_the_loop_computes_longer_than_its_period
     chosen = options(line="socket", seconds=1.0)
     slow = replace(chosen, bundle=replace(chosen.bundle, predictor=SlowOnce()))
     result = run_sil(slow)
-    timing = write_results(result, slow)
+    timing = result.timing
     assert (timing.verdict, timing.verdict.exit_code) == ("fail", 1)
     [miss] = [miss for miss in timing.missed if miss.tick == result.records["tick"][19]]
     assert miss.cause is Cause.OWN_COMPUTE
@@ -245,7 +246,8 @@ def test_a_run_that_a_signal_ended_early_is_inconclusive_and_leaves_its_trial(
     chosen = options(seconds=9.0)
     cut = replace(chosen, bundle=replace(chosen.bundle, predictor=Interrupter(tick)))
     result = run_sil(cut)
-    timing, last = write_results(result, cut), result.records["tick"][tick - 2]
+    result.write()
+    timing, last = result.timing, result.records["tick"][tick - 2]
     assert (timing.run.ended, timing.verdict.exit_code) == ("signalled", 3)
     assert 0 < last < tick - 1, "some ticks led to the first goal"
     assert timing.reason.startswith(f"SIGTERM ended the run after {last + 1} of 529 slots")

@@ -28,7 +28,7 @@ from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from hil.commands.sil import describe_sil
-from hil.sil import LOG_NAME, SilOptions, run_sil, write_results
+from hil.sil import LOG_NAME, SilOptions, run_sil
 from hil.sil.sil_options import sil_config
 from hil.sil.tip_errors import CLOSE_M, move_figures
 from models.plan.learning import improve_plan, read_plan_run
@@ -141,7 +141,8 @@ def test_the_robot_sends_the_planned_goals_and_learns_from_the_run(options, bund
     wanted = np.array([goals.at(slot)[0] for slot in range(2 * plan.rows)])
     assert np.array_equal(motion["goal_1_rad"][: len(wanted)], wanted)
 
-    timing = write_results(result, chosen)
+    result.write()
+    timing = result.timing
     assert len(timing.path_errors) == 2
     for error in timing.path_errors:
         assert error.rows == plan.rows
@@ -187,12 +188,14 @@ def test_a_plan_improved_by_motion_capture_reaches_its_expected_error_with_a_wro
 ):
     """The observer's tip is wrong by the bend, motion capture measures the true one."""
     chosen = options(open_loop=False)
-    before = write_results(run_sil(chosen), chosen).path_errors[-1].rms_m
+    result = run_sil(chosen)
+    result.write()
+    before = result.timing.path_errors[-1].rms_m
     recorded = read_plan_run(tmp_path / "trial" / "sil.csv", plan)
     assert (recorded.payload_kg, recorded.goals_payload_kg) == (PAYLOAD_KG, PAYLOAD_KG)
     improved, _ = improve_plan(plan, recorded, read_plant(), Limits(rate_rad_s=1.0))
     chosen = options(open_loop=False, plan=improved)
-    after = write_results(run_sil(chosen), chosen).path_errors[-1].rms_m
+    after = run_sil(chosen).timing.path_errors[-1].rms_m
     assert after < before / 4
     assert after < 1.1 * improved.learned[-1].expected_rms_m
 
@@ -200,7 +203,7 @@ def test_a_plan_improved_by_motion_capture_reaches_its_expected_error_with_a_wro
 def test_a_payload_beyond_the_plan_and_lost_feedback_are_reported(options, bundle, plan, tmp_path):
     heavy = with_observer(bundle, Constant(2.0, 9.0))
     chosen = options(bundle=heavy, payload_known=False, open_loop=False)
-    timing = write_results(run_sil(chosen), chosen)
+    timing = run_sil(chosen).timing
     note = timing.run.payload_note
     assert "2.00 kg" in note and "0.5 to 1.5 kg" in note
     feedback = timing.run.feedback
@@ -261,7 +264,7 @@ def test_the_probing_motion_precedes_the_plan_and_measures_the_payload(probing, 
     assert observer.assumed[0] is None
     assert observer.assumed[1] == pytest.approx(PAYLOAD_KG, abs=0.1)
     assert records["payload_kg"][-1] == observer.assumed[1]
-    errors = write_results(result, chosen).path_errors
+    errors = result.timing.path_errors
     assert [e.rows for e in errors] == [plan.rows], "the rows of the probe are not on the path"
     log = read_recording(tmp_path / LOG_NAME)
     assert max(compare(log, chosen.bundle).values()) < 1e-12
@@ -312,7 +315,8 @@ def test_the_run_follows_the_goals_of_another_program(options, tmp_path):
     with outside_goals(address, None, config, alone.bundle, patience_s=5.0) as goals:
         chosen = dataclasses.replace(alone, goals=goals)
         result = run_sil(chosen)
-        timing = write_results(result, chosen)
+    result.write()
+    timing = result.timing
     thread.join()
     assert timing.run.programme_s == {"motion": 3.0}
     motion = result.records[result.records["tick"] >= 1][: TICKS - 2]

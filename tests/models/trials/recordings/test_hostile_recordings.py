@@ -11,7 +11,6 @@ import pytest
 import zstandard
 
 from dropstitch.__main__ import main
-from firmware_py.core import guarded_call
 from firmware_py.core.errors import InputError
 from firmware_py.log import recording
 from firmware_py.log.recording import read_recording
@@ -160,7 +159,7 @@ def test_a_compressed_bag_does_not_fill_the_disk(sentence, bag, monkeypatch, tmp
     (bag / "metadata.yaml").write_text(
         facts.replace("compression_mode: ''", "compression_mode: FILE")
     )
-    monkeypatch.setattr(guarded_call, "MOST_WRITTEN_BYTES", 1_000_000)
+    monkeypatch.setattr("models.trials.guarded_call.MOST_WRITTEN_BYTES", 1_000_000)
     assert "File too large" in sentence("bag", kind="rosbag")
 
 

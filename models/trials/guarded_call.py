@@ -1,8 +1,7 @@
-"""Limits of memory, time and file size for reading foreign files, here or in a child process.
+"""Call of a library that reads a foreign file, in a child process with limits.
 
 Libraries that read binary formats may crash, hang or allocate without bound on damaged files. In a
-child process (`guarded_call`), each of these becomes an error message of the parent. Where no
-library can crash, `limited_memory` limits the memory of this process for a moment.
+child process each of these becomes an error message of the parent.
 """
 
 from __future__ import annotations
@@ -15,58 +14,18 @@ import math
 import os
 import select
 import signal
-import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NoReturn
 
 import msgspec
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import MEMORY_BYTES, limit_memory
 from firmware_py.core.units import DATA_SIZE
-
-MEMORY_BYTES: Final = 350_000_000
-"""Additional memory for reading a file: an importer with 100 MB of loaded libraries stays below
-500 MB."""
-
-
-def limit_memory(memory_bytes: int = MEMORY_BYTES) -> tuple[int, int] | None:
-    """Limit the address space of this process to its present size and `memory_bytes` more.
-
-    Returns the previous soft and hard limits; None on systems without such a limit (not Linux).
-    """
-    if sys.platform != "linux":
-        return None
-    import resource
-
-    statm = Path("/proc/self/statm").read_text(encoding="ascii")
-    most = int(statm.split()[0]) * resource.getpagesize() + memory_bytes
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    known = [limit for limit in before if limit != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_AS, (min([most, *known]), before[1]))
-    return before
-
-
-@contextlib.contextmanager
-def limited_memory(
-    where: Path | str, remedy: str, memory_bytes: int = MEMORY_BYTES
-) -> Iterator[None]:
-    """Refuse a file if the code of the block needs more than `memory_bytes` of new memory."""
-    before = limit_memory(memory_bytes)
-    try:
-        yield
-    except MemoryError:
-        what = f"takes more than {DATA_SIZE.number(memory_bytes)} MB to read"
-        raise InputError(where, what, remedy) from None
-    finally:
-        if before is not None:
-            import resource
-
-            resource.setrlimit(resource.RLIMIT_AS, before)
-
 
 SECONDS: Final = 8.0
 """Limit of the processor time for a small file; the demo's recordings need less than a second."""
