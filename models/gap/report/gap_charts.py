@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from firmware_py.core.units import TIME, DisplayUnit, error_unit, si_unit, signal_words
+from firmware_py.core.units import TIME, DisplayUnit, si_unit, signal_words
 from models.gap.report.gap_json import MappedRegion, largest_gaps
 from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import Plant

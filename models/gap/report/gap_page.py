@@ -109,9 +109,7 @@ def _signal(curves: SignalCurves) -> Panel:
     with Drawing(3.4) as (drawing, ax):
         upper, lower = ax.figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         ax.remove()
-        draw_signal(
-            upper, lower, curves, signal_unit(curves.signal), error_unit(curves.unit)
-        )
+        draw_signal(upper, lower, curves, signal_unit(curves.signal), error_unit(curves.unit))
     errors = " → ".join(unit.significant(rms) for rms in curves.rms)
     return drawing.panel(
         f"{name}: error {errors}",
