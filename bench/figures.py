@@ -451,8 +451,8 @@ def page_text(document: dict[str, Any]) -> str:
     for part in document["parts"]:
         error = ""
         if "error" in part:
-            error = f"Not measured: {part['error']} (`make figures ONLY={part['part']}`)."
-        lines.append(f"| **{part['title']}** | {error} | | | |")
+            error = f" Not measured: {part['error']} (`make figures ONLY={part['part']}`)."
+        lines.append(f"| **{part['title']}** |{error} | | | |")
         for f in part["figures"]:
             cells = (f["what"], f["shown"], f["beside"], f["measured_on"], f"`{f['command']}`")
             lines.append(f"| {' | '.join(cells)} |")

@@ -69,10 +69,9 @@ def transitions() -> str:
 
 def fault_matrix() -> str:
     """Return the faults in Markdown; those that are injected and judged alike share a row."""
-    lines = []
+    lines = ["| fault | how, and what the robot must do | line | proves |", "|---|---|---|---|"]
     for title, rows in PARTS.items():
-        lines += [f"### {title}", "", "| fault | how, and what the robot must do | line | proves |"]
-        lines.append("|---|---|---|---|")
+        lines.append(f"| **{title}** | | | |")
         alike: dict[tuple[str, ...], list[str]] = {}
         for fault in dict.fromkeys(row.fault for row in rows):
             cases = [row for row in rows if row.fault == fault]
@@ -82,8 +81,7 @@ def fault_matrix() -> str:
             proves = sorted({identifier for row in cases for identifier in row.proves})
             alike.setdefault((what, ", ".join(where), ", ".join(proves)), []).append(fault)
         lines += [f"| {'<br>'.join(names)} | {' | '.join(key)} |" for key, names in alike.items()]
-        lines.append("")
-    return "\n".join(lines).rstrip()
+    return "\n".join(lines)
 
 
 def requirement_table() -> str:
