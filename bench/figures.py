@@ -438,17 +438,15 @@ def page_text(document: dict[str, Any]) -> str:
         "`make figures ONLY=PART` measures a part again and writes nothing.", "",
         f"Commit {by['commit']}{changes}, {by['date']}. {by['cpu']}, {by['cores']} cores, "
         f"{by['kernel']}, Python {by['python']}. \"This machine\" is that one; \"simulation\" does "
-        "not depend on it.",
+        "not depend on it.", "",
+        "| figure | value | beside it, or n | measured on | command |",
+        "|---|---|---|---|---|",
     ]  # fmt: skip
     for part in document["parts"]:
-        lines += ["", f"## {part['title']}", ""]
+        error = ""
         if "error" in part:
-            lines.append(f"Not measured: {part['error']} (`make figures ONLY={part['part']}`).")
-            continue
-        lines += [
-            "| figure | value | beside it, or n | measured on | command |",
-            "|---|---|---|---|---|",
-        ]
+            error = f" Not measured: {part['error']} (`make figures ONLY={part['part']}`)."
+        lines.append(f"| **{part['title']}** |{error} | | | |")
         for f in part["figures"]:
             cells = (f["what"], f["shown"], f["beside"], f["measured_on"], f"`{f['command']}`")
             lines.append(f"| {' | '.join(cells)} |")

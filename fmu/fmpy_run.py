@@ -366,7 +366,9 @@ def _plot(run: FmuRun) -> Figure:
         )  # fmt: skip
         for ax, ((quantity, unit), shown) in zip(axes[:, 0], panels.items(), strict=True):
             columns = {name: run.columns[name] for name in shown}
-            plot_panel(ax, run.time_s, columns, quantity, unit, run.measured)
+            plot_panel(
+                ax, run.time_s, columns, quantity, unit, run.measured, display_units.si_unit(unit)
+            )
             ax.set_xlabel("")
             ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         axes[0, 0].set_title(run.title)
@@ -391,9 +393,14 @@ def plot_panel(
     quantity: str,
     unit: str,
     measured: Mapping[str, Array] | None = None,
+    shown: display_units.DisplayUnit | None = None,
 ) -> None:
-    """Plot the columns of one panel, measured values dashed, predictions dotted."""
-    shown = display_units.DEFORMATION if "di" in columns else display_units.value_unit(unit)
+    """Plot the columns of one panel, measured values dashed, predictions dotted.
+
+    Without a unit in which they are `shown`, it is the one for pages.
+    """
+    if shown is None:
+        shown = display_units.DEFORMATION if "di" in columns else display_units.value_unit(unit)
     variables = list(dict.fromkeys(name.removeprefix("predicted_") for name in columns))
     for name, values in columns.items():
         predicted = name not in variables

@@ -89,6 +89,11 @@ def value_unit(unit: str) -> DisplayUnit:
     return VALUE_UNITS.get(unit, DisplayUnit(symbol_of(unit), 1.0, 3))
 
 
+def si_unit(unit: str) -> DisplayUnit:
+    """Return the SI unit itself, in which the figures of the library show a value."""
+    return DisplayUnit(symbol_of(unit), 1.0, 3)
+
+
 def error_unit(unit: str) -> DisplayUnit:
     return ERROR_UNITS.get(unit, DisplayUnit(symbol_of(unit), 1.0, 3))
 

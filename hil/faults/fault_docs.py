@@ -32,7 +32,8 @@ requirements mean for you: [Safety](../safety.md). How to add a fault:
 ## Faults
 
 `dropstitch faults --bundle BUNDLE --out OUT` injects each fault on its lines: in simulated time
-(virtual), against emulated servos on a socket, or against the whole program (process).
+(virtual), against emulated servos on a socket, or against the whole program (process). Faults in
+one row are injected and judged alike. Words in quotes must stand in the reason of the stop.
 
 {faults}
 """
@@ -67,25 +68,29 @@ def transitions() -> str:
 
 
 def fault_matrix() -> str:
-    lines = []
+    """Return the faults in Markdown; those that are injected and judged alike share a row."""
+    lines = ["| fault | how, and what the robot must do | line | proves |", "|---|---|---|---|"]
     for title, rows in PARTS.items():
-        lines += [f"### {title}", "", "| fault | how | line | must | proves |"]
-        lines.append("|---|---|---|---|---|")
-        for row in rows:
-            must = str(row.must).replace("|", " or ")
-            cells = [row.fault, row.how, ", ".join(row.lines), must, ", ".join(row.proves)]
-            lines.append(f"| {' | '.join(cells)} |")
-        lines.append("")
-    return "\n".join(lines).rstrip()
+        lines.append(f"| **{title}** | | | |")
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for fault in dict.fromkeys(row.fault for row in rows):
+            cases = [row for row in rows if row.fault == fault]
+            musts = [str(row.must).replace("|", " or ") for row in cases]
+            what = "<br>".join(f"{c.how}: {must}" for c, must in zip(cases, musts, strict=True))
+            where = dict.fromkeys(line for row in cases for line in row.lines)
+            proves = sorted({identifier for row in cases for identifier in row.proves})
+            alike.setdefault((what, ", ".join(where), ", ".join(proves)), []).append(fault)
+        lines += [f"| {'<br>'.join(names)} | {' | '.join(key)} |" for key, names in alike.items()]
+    return "\n".join(lines)
 
 
 def requirement_table() -> str:
-    """Return the safety requirements and their verification in Markdown."""
-    lines = ["| | requirement | tests | faults |", "|---|---|---|---|"]
+    """Return the safety requirements and their tests in Markdown."""
+    lines = ["| | requirement | tests |", "|---|---|---|"]
     for r in requirements():
         tests = "<br>".join(f"`{test.rpartition('/')[2]}`" for test in r.tests)
-        faults = ", ".join(r.faults) or f"none: {r.no_fault}"
-        lines.append(f"| {r.identifier} | {r.text} | {tests} | {faults} |")
+        none = f"<br>no fault: {r.no_fault}" if r.no_fault else ""
+        lines.append(f"| {r.identifier} | {r.text} | {tests}{none} |")
     return "\n".join(lines)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.core.signals import joint_signals, marker_signals, tip_names
-from firmware_py.core.units import LENGTH, TICK_TIME, TIME
+from firmware_py.core.units import LENGTH, POSITION, TIME
 from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.log.recording import OUTSIDE
@@ -286,26 +286,26 @@ def _draw_error(axes: Axes, result: SilResult) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "no true tip to compare with", ha="center")
         return
-    distance_mm = LENGTH.shown(np.linalg.norm(off_m, axis=1))
-    axes.plot(records["time_s"], distance_mm, color=SERIES[0], label="predicted − true tip")
-    axes.axhline(float(np.nanmean(distance_mm)), color=MUTED, ls="--", label="mean")
-    axes.set(xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), ylim=(0, None))
+    distance_m = np.linalg.norm(off_m, axis=1)
+    axes.plot(records["time_s"], distance_m, color=SERIES[0], label="predicted − true tip")
+    axes.axhline(float(np.nanmean(distance_m)), color=MUTED, ls="--", label="mean")
+    axes.set(xlabel=TIME.label("time"), ylabel=POSITION.label("distance"), ylim=(0, None))
     axes.legend(ncols=2)
 
 
 def _draw_ends(axes: Axes, records: NDArray[np.void], timing: TimingVerdict) -> None:
     """Histogram of the ends of the ticks in their slots, with the deadline in it."""
-    end_ms = TICK_TIME.shown(records["lateness_ns"] + records["busy_ns"])
-    own_ms = TICK_TIME.shown(records["busy_ns"] - records["bus_wait_ns"])
-    deadline_ms = float(TICK_TIME.shown(timing.targets.period_ns))
-    least_ms = max(float(np.min(own_ms)), 1e-3)
-    edges = np.geomspace(least_ms, 1.2 * max(deadline_ms, float(np.max(end_ms))), 80).tolist()
-    axes.hist(own_ms, edges, color=SERIES[1], alpha=0.7, label="own cost of a tick")
-    axes.hist(end_ms, edges, color=SERIES[0], alpha=0.7, label="end of a tick in its slot")
-    axes.axvline(deadline_ms, color=ALARM, ls="--", label="deadline")
+    end_s = 1e-9 * (records["lateness_ns"] + records["busy_ns"])
+    own_s = 1e-9 * (records["busy_ns"] - records["bus_wait_ns"])
+    deadline_s = 1e-9 * timing.targets.period_ns
+    least_s = max(float(np.min(own_s)), 1e-6)
+    edges = np.geomspace(least_s, 1.2 * max(deadline_s, float(np.max(end_s))), 80).tolist()
+    axes.hist(own_s, edges, color=SERIES[1], alpha=0.7, label="own cost of a tick")
+    axes.hist(end_s, edges, color=SERIES[0], alpha=0.7, label="end of a tick in its slot")
+    axes.axvline(deadline_s, color=ALARM, ls="--", label="deadline")
     if timing.host.preempted_ticks:
         axes.plot([], [], " ", label=f"the host preempted {timing.host.preempted_ticks} ticks")
-    axes.set(xlabel=TICK_TIME.label("time"), ylabel="ticks", xscale="log", yscale="log")
+    axes.set(xlabel=TIME.label("time"), ylabel="ticks", xscale="log", yscale="log")
     axes.legend(loc="upper center")
 
 

@@ -172,13 +172,18 @@ def train(
 
     Examples
     --------
-    The trials, plant and tests of `make demo`; it takes a minute.
+    Two trials of the rig and the nominal plant; identify the plant first for a useful predictor.
 
     >>> import dropstitch
-    >>> plant = dropstitch.read_plant("build/plant.json")                         # doctest: +SKIP
-    >>> trials = dropstitch.read_trials("build/trials")                           # doctest: +SKIP
-    >>> result = dropstitch.train(trials, plant, "build/bundle_1dof")             # doctest: +SKIP
-    >>> print(result.summary())                                                   # doctest: +SKIP
+    >>> rig, motion = dropstitch.rig_named("default"), dropstitch.Motion()
+    >>> cases = [dropstitch.TrialCase(motion, kg, trial=1) for kg in (0.0, 1.0)]
+    >>> trials = [dropstitch.run_case(rig, case) for case in cases]
+    >>> result = dropstitch.train(trials, dropstitch.read_plant(), "bundle_1dof")
+    >>> result
+    <Training of bundle_1dof: observer, tests: none>
+    >>> print(result.summary())
+    bundle_1dof
+      the robot gets: On payloads and motions left out the observer's tip, ...
     """
     directory = Path(out)
     if not 0.0 <= askew_rad <= LARGEST_ASKEW_RAD:

@@ -89,12 +89,13 @@ class Diagnosis:
 
     Examples
     --------
-    Ask a diagnosis for its words, its figure and the improved plant:
+    Words, figure and improved plant of the `diagnosis` in the example of `diagnose`:
 
-    >>> diagnosis = dropstitch.diagnose(plant, trials)  # doctest: +SKIP
-    >>> print(diagnosis.summary())                      # doctest: +SKIP
-    >>> diagnosis.plot().savefig("gap.svg")             # doctest: +SKIP
-    >>> diagnosis.improved.write("better.json")         # doctest: +SKIP
+    >>> print(diagnosis.summary())
+    verdict: no floor
+    Missing: coulomb friction 0.0491 ± 0.0066 N·m (dry friction torque at the output). ...
+    >>> diagnosis.plot().savefig("gap.svg")
+    >>> diagnosis.improved.write("better.json")
     """
 
     plant: Plant
@@ -203,14 +204,30 @@ def diagnose(
 
     Examples
     --------
-    Six trials of the link take a minute; `docs/notebooks/diagnose.ipynb` runs a smaller one.
+    A servo swings a weight. The trials have a Coulomb friction that its plant lacks.
 
-    >>> import dropstitch
-    >>> plant = dropstitch.read_plant("build/plant.json")    # doctest: +SKIP
-    >>> trials = dropstitch.read_trials("build/gap_trials")  # doctest: +SKIP
-    >>> diagnosis = dropstitch.diagnose(plant, trials)       # doctest: +SKIP
-    >>> diagnosis                                            # doctest: +SKIP
-    <Diagnosis of 6 trials: closed; missing: dead_time>
+    >>> import dropstitch, numpy as np
+    >>> plant = dropstitch.read_plant("models/plant/examples/xl330_pendulum.toml")
+    >>> set_up = {"mass_kg": 0.5, "arm_length_m": 0.1, "duty_gain_1": 0.3}
+    >>> real = plant.with_effects("coulomb_friction").with_values(set_up)
+    >>> real = real.with_values({"coulomb_friction_1_nm": 0.05})
+    >>> rng, time_s = np.random.default_rng(5), 0.005 * np.arange(400)
+    >>> def swing(number, period_s):
+    ...     inputs = {
+    ...         "goal_1_rad": 0.8 * np.sin(2 * np.pi * time_s / period_s),
+    ...         "enabled_1": np.ones(400), "supply_1_v": np.full(400, 7.5),
+    ...     }
+    ...     run = dropstitch.simulate_plant(real, inputs, 0.005)
+    ...     angle_rad = run["angle_1_rad"] + 1e-3 * rng.standard_normal(400)
+    ...     meta = dropstitch.TrialMeta(
+    ...         dof=1, payload_kg=0.0, trial=number, motion="sinusoid", source="simulated",
+    ...         period_s=period_s, rest_samples=0, conditions=set_up,
+    ...     )
+    ...     columns = {"time_s": time_s, **inputs, "angle_1_rad": angle_rad}
+    ...     return dropstitch.Trial(f"swing_{number}", meta, columns)
+    >>> diagnosis = dropstitch.diagnose(plant, [swing(1, 2.0), swing(2, 1.3)])
+    >>> diagnosis
+    <Diagnosis of 2 trials: no floor; missing: coulomb_friction>
     """
     trials = TrialSet(tuple(trials))
     if not len(trials):

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib import pyplot
 from matplotlib.figure import Figure
 
-from firmware_py.core.units import ANGLE, CURRENT, LENGTH, POSITION, TIME
+from firmware_py.core.units import CURRENT, LENGTH, POSITION, TIME
 from firmware_py.goals.tip_plan import TipPlan
 from models.shared.drawing import FILE_STYLE
 from models.shared.palette import INK, MUTED, SERIES
@@ -37,16 +37,16 @@ def plot_plan(plan: TipPlan) -> Figure:
         axes: dict[str, Any] = figure.subplot_mosaic([["path", "error"], ["goals", "current"]])
         _draw_path(axes["path"], plan, ramp)
         for colour, one in zip(ramp, plan.payloads, strict=True):
-            away = LENGTH.shown(np.linalg.norm(np.transpose(one.tip_m) - desired, axis=1))
+            away = np.linalg.norm(np.transpose(one.tip_m) - desired, axis=1)
             axes["error"].plot(time_s, away, color=colour, lw=0.8)
             for goal, current, line in zip(one.goals_rad, one.current_a, LINES, strict=False):
-                axes["goals"].plot(time_s, ANGLE.shown(goal), line, color=colour, lw=0.8)
+                axes["goals"].plot(time_s, goal, line, color=colour, lw=0.8)
                 axes["current"].plot(time_s, current, line, color=colour, lw=0.8)
         legend = []
         if plan.probe is not None:
             before_s = plan.period_s * np.arange(-plan.probe.rows, 0)
             for goal, line in zip(plan.probe.goals_rad, LINES, strict=False):
-                axes["goals"].plot(before_s, ANGLE.shown(goal), line, color=MUTED, lw=0.8)
+                axes["goals"].plot(before_s, goal, line, color=MUTED, lw=0.8)
             legend = [("probing motion", MUTED, "-")]
         if plan.dof == 2:
             legend += [(f"joint {j + 1}", SERIES[0], LINES[j]) for j in (0, 1)]
@@ -54,8 +54,8 @@ def plot_plan(plan: TipPlan) -> Figure:
             axes["goals"].plot([], [], line, color=colour, lw=0.8, label=label)
         if legend:
             axes["goals"].legend(fontsize="x-small", frameon=False)
-        axes["error"].set(xlabel=TIME.label("time"), ylabel=LENGTH.label("predicted tip error"))
-        axes["goals"].set(xlabel=TIME.label("time"), ylabel=ANGLE.label("goal"))
+        axes["error"].set(xlabel=TIME.label("time"), ylabel=POSITION.label("predicted tip error"))
+        axes["goals"].set(xlabel=TIME.label("time"), ylabel="goal in rad")
         axes["current"].set(xlabel=TIME.label("time"), ylabel=CURRENT.label("current"))
         handles, labels = axes["path"].get_legend_handles_labels()
         figure.legend(

@@ -131,13 +131,32 @@ def import_recordings(
 
     Examples
     --------
-    A Motive export and the log of the servos, synchronised by their motion:
+    A table whose angles are in degrees; the map adds what it lacks:
 
-    >>> import dropstitch
-    >>> takes = dropstitch.import_recordings(                                    # doctest: +SKIP
-    ...     "take_001.csv", "motive", "trials", mapping="map.toml", servo="run.mcap"
-    ... )
-    >>> takes[0].trial()                                                         # doctest: +SKIP
+    >>> from pathlib import Path
+    >>> import dropstitch, numpy as np
+    >>> case = dropstitch.TrialCase(dropstitch.Motion(), payload_kg=1.0, trial=1)
+    >>> run = dropstitch.run_case(dropstitch.rig_named("default"), case)
+    >>> measured = dropstitch.trial_frame(run)
+    >>> measured["servo_deg"] = np.degrees(measured.pop("angle_1_rad"))
+    >>> measured.to_csv("take_001.csv", index=False)
+    >>> _ = Path("map.toml").write_text('''
+    ... [trial]
+    ... dof = 1
+    ... payload_kg = 1.0
+    ... pressure_pa = 41300.0
+    ... trial = 1
+    ... motion = "sinusoid"
+    ... period_s = 4.352
+    ... amplitude_rad = 0.5236
+    ... base_offset_m = 0.06
+    ... link_length_m = 0.95
+    ... link_width_m = 0.15
+    ... [columns]
+    ... angle_1_rad = { from = "servo_deg", unit = "deg" }
+    ... ''')
+    >>> takes = dropstitch.import_recordings("take_001.csv", "table", "trials", mapping="map.toml")
+    >>> takes[0].trial()
     <Trial take_001: 1 joint, sinusoid, 1 kg, 572 rows of 17 ms>
     """
     sources = [files] if isinstance(files, (str, Path)) else files

@@ -26,7 +26,8 @@ QUICK = {"new", "evaluate", "validate", "sign", "replay", "install-service", "do
 def quick_commands() -> dict[str, list[str]]:
     """Command as printed to its arguments; a service is not installed, and there is no log."""
     found = {}
-    for page in sorted((ROOT / "docs" / "guides").glob("*.md")):
+    docs = ROOT / "docs"
+    for page in [*sorted((docs / "guides").glob("*.md")), docs / "plant" / "link.md"]:
         for program, *arguments in commands(page.read_text(encoding="utf-8")):
             line = shlex.join([program, *arguments])
             if program != PROGRAM or arguments[0] not in QUICK or ".mcap" in line:

@@ -31,7 +31,12 @@ FILE = re.compile(
 )
 DOTTED = re.compile(r"`((?:firmware_py|models|fmu|hil|bench)(?:\.\w+)+)(?:\(\))?`")
 COMMAND = re.compile(r"python -m ((?:firmware_py|models|fmu|hil|bench|tests)[\w.]*\w)")
-LINK = re.compile(r"\]\(([^)\s]+)\)")
+LINK = re.compile(r"\]\(([^)\s]+)\)|^\[[^\]]+\]: (\S+)$", re.MULTILINE)
+"""Links of a page: in the text, or defined at its end."""
+HOSTED = re.compile(
+    r"https://(?:github\.com/OWNER/dropstitch/blob|raw\.githubusercontent\.com/OWNER/dropstitch)/main/"
+)
+"""Begin of an absolute link to a file of this repository, which a package index needs."""
 
 
 @functools.cache
@@ -114,14 +119,21 @@ def test_cited_sections_files_modules_and_commands_are_there():
 def test_links_lead_somewhere():
     broken = []
     for path in MARKDOWN:
-        for link in LINK.findall(path.read_text(encoding="utf-8")):
-            target, _, fragment = link.partition("#")
+        for link in map("".join, LINK.findall(path.read_text(encoding="utf-8"))):
+            target, _, fragment = HOSTED.sub("/", link).partition("#")
             if "://" in target:
                 continue
             file = path.parent / target if target else path
+            if target.startswith("/"):
+                file = ROOT / target[1:]
             if not file.exists() or (fragment and fragment not in map(anchor, headings(file))):
                 broken.append((path, link))
     assert not broken
+
+
+def test_every_link_of_the_readme_also_works_on_a_package_index():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert not [link for link in map("".join, LINK.findall(text)) if "://" not in link]
 
 
 def test_a_citation_that_does_not_resolve_is_noticed():

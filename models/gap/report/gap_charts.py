@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from firmware_py.core.units import TIME, DisplayUnit, error_unit, signal_unit, signal_words
+from firmware_py.core.units import TIME, DisplayUnit, si_unit, signal_words
 from models.gap.report.gap_json import MappedRegion, largest_gaps
 from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import Plant
@@ -94,9 +94,11 @@ def _fall(pair: tuple[Comparison, ...], signals: Sequence[str]) -> tuple[float, 
     return before - after, before
 
 
-def draw_signal(upper: Any, lower: Any, curves: SignalCurves) -> None:
+def draw_signal(
+    upper: Any, lower: Any, curves: SignalCurves, unit: DisplayUnit, unit_of_errors: DisplayUnit
+) -> None:
     """Draw a signal over time on the upper axes, and its errors on the lower ones."""
-    unit, every = signal_unit(curves.signal), max(1, len(curves.time_s) // SHOWN_ROWS)
+    every = max(1, len(curves.time_s) // SHOWN_ROWS)
     upper.plot(
         curves.time_s[::every], unit.shown(curves.measured)[::every], color=MEASURED, lw=1.7,
         label="measured",
@@ -107,7 +109,7 @@ def draw_signal(upper: Any, lower: Any, curves: SignalCurves) -> None:
         )
     upper.set_ylabel(unit.label(signal_words(curves.signal)))
     upper.yaxis.set_major_locator(MaxNLocator(5))
-    draw_errors(lower, curves.time_s, curves.errors, error_unit(curves.unit), curves.floor)
+    draw_errors(lower, curves.time_s, curves.errors, unit_of_errors, curves.floor)
 
 
 def draw_errors(
@@ -149,7 +151,8 @@ def plot_signals(diagnosis: Diagnosis) -> Figure:
             figsize=(3.6 * len(rows), 4.2), layout="constrained",
         )  # fmt: skip
         for (upper, lower), curves in zip(axes.T, rows, strict=True):
-            draw_signal(upper, lower, curves)
+            unit = si_unit(curves.unit)
+            draw_signal(upper, lower, curves, unit, unit)
         axes[0, 0].legend(fontsize=7)
         band = "; grey: noise floor" if diagnosis.floor.learned else ""
         figure.suptitle(f"Trial {rows[0].trial.name}{band}", fontsize=10)

@@ -265,10 +265,11 @@ class GapDocument(Document, frozen=True, kw_only=True):
 
     Examples
     --------
+    With the `diagnosis` in the example of `diagnose`:
+
     >>> import dropstitch
-    >>> document = dropstitch.gap_document(found)         # doctest: +SKIP
-    >>> document.headline                                 # doctest: +SKIP
-    'Missing: dead time 30.1 ± 0.4 ms ...'
+    >>> dropstitch.gap_document(diagnosis).headline
+    'Missing: coulomb friction 0.0491 ± 0.0066 N·m (dry friction torque at the output). ...'
     """
 
     VERSION: ClassVar[int] = 3

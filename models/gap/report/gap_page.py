@@ -13,7 +13,7 @@ from typing import Final
 from markupsafe import Markup
 
 from firmware_py.core.signals import without_unit
-from firmware_py.core.units import error_unit, signal_words
+from firmware_py.core.units import error_unit, signal_unit, signal_words
 from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_charts import (
     BEFORE_AND_AFTER,
@@ -109,7 +109,7 @@ def _signal(curves: SignalCurves) -> Panel:
     with Drawing(3.4) as (drawing, ax):
         upper, lower = ax.figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         ax.remove()
-        draw_signal(upper, lower, curves)
+        draw_signal(upper, lower, curves, signal_unit(curves.signal), error_unit(curves.unit))
     errors = " → ".join(unit.significant(rms) for rms in curves.rms)
     return drawing.panel(
         f"{name}: error {errors}",

@@ -65,10 +65,12 @@ def gap_document(diagnosis: Diagnosis) -> GapDocument:
 
     Examples
     --------
+    With the `diagnosis` in the example of `diagnose`:
+
     >>> import dropstitch
-    >>> document = dropstitch.gap_document(diagnosis)                # doctest: +SKIP
-    >>> document.verdict, [row.effect for row in document.named]  # doctest: +SKIP
-    ('closed', ['dead_time'])
+    >>> document = dropstitch.gap_document(diagnosis)
+    >>> document.verdict, [row.effect for row in document.named]
+    ('no floor', ['coulomb_friction'])
     """
     floor = noise_floor_rms(diagnosis)
     residuals = diagnosis.nuisance.estimator.residuals

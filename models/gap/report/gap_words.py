@@ -310,12 +310,12 @@ def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
 
     Examples
     --------
-    `Diagnosis.summary` is the short way:
+    With the `diagnosis` in the example of `diagnose`; `Diagnosis.summary` is the short way.
 
     >>> import dropstitch
-    >>> words = dropstitch.gap_in_words(dropstitch.gap_document(diagnosis))  # doctest: +SKIP
-    >>> words.splitlines()[0]                                                # doctest: +SKIP
-    'verdict: closed'
+    >>> words = dropstitch.gap_in_words(dropstitch.gap_document(diagnosis))
+    >>> words.splitlines()[0]
+    'verdict: no floor'
     """
     lines = [f"verdict: {document.verdict}", document.headline, document.sentence]
     lines += [f"note: {note}" for note in notes_in_words(document)]

@@ -17,7 +17,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.units import PAYLOAD, TIME, signal_unit, signal_words
+from firmware_py.core.signals import unit_of
+from firmware_py.core.units import PAYLOAD, TIME, si_unit, signal_words
 from models.plant.document import (
     CLOCK_LIMIT_S,
     DofEvaluation,
@@ -342,9 +343,10 @@ def plot_fit(plant: Plant, trials: Sequence[Trial]) -> Figure:
 
 
 def _draw_signal(axis: Any, c: Comparison, signal: str) -> None:
-    unit, every = signal_unit(signal), max(1, len(c.trial) // 300)
+    unit = si_unit(unit_of(signal) or "1")
+    every = max(1, len(c.trial) // 300)
     measured, simulated = (
-        np.round(unit.shown(rows[signal][::every]), 3) for rows in (c.measured, c.simulated)
+        np.round(unit.shown(rows[signal][::every]), 5) for rows in (c.measured, c.simulated)
     )
     time_s = c.trial.time_s[::every]
     axis.plot(time_s, measured, color=MUTED, lw=2.0, label="measured")

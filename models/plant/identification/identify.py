@@ -167,15 +167,14 @@ def identify(
 
     Examples
     --------
-    Two trials of the rig, with 0 and 1 kg, identify the nominal plant. It takes a minute.
+    Two trials of the rig, with 0 and 1 kg, identify the nominal plant.
 
     >>> import dropstitch
     >>> rig, motion = dropstitch.rig_named("default"), dropstitch.Motion()
     >>> cases = [dropstitch.TrialCase(motion, kg, trial=1) for kg in (0.0, 1.0)]
-    >>> trials = [dropstitch.run_case(rig, case) for case in cases]       # doctest: +SKIP
-    >>> result = dropstitch.identify(dropstitch.read_plant(), trials)     # doctest: +SKIP
-    >>> result                                                            # doctest: +SKIP
-    <Identification of 'drop-stitch link, identified': 24 parameters fitted; Evaluation on 2 ...>
+    >>> trials = [dropstitch.run_case(rig, case) for case in cases]
+    >>> dropstitch.identify(dropstitch.read_plant(), trials)
+    <Identification of 'drop-stitch link, identified': ... tip error 0.8 mm RMS, of a rigid ...>
     """
     trials = TrialSet(tuple(trials))
     if not len(trials):

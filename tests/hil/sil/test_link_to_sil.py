@@ -1,4 +1,4 @@
-"""Worked example of docs/guides/own-link.md: from a link's size to a run in software."""
+"""Worked example of docs/plant/link.md: from a link's size to a run in software."""
 
 import json
 
