@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, help="directory of the work")
-    parser.add_argument("--rigs", type=int, default=24, help="rigs of the data sets (24)")
+    parser.add_argument("--rigs", type=int, default=10, help="rigs of the data sets (10)")
     parser.add_argument(
         "--quick", action="store_true", help="two rigs, a few data sets; writes to OUT alone"
     )
