@@ -323,10 +323,10 @@ def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
     lines += refused_in_words(document)
     title = f"{errors_of_what(document)}:"
     width = max(len(title), 26) + 2
-    lines.append(f"{title:{width}s}{'before':>12s}{'after':>12s}")
+    lines.append(f"{title:{width}s}{'before':>14s}{'after':>14s}")
     for signal, *errors in errors_in_order(document)[:MOST_LISTED]:
         shown = [error_unit(e.unit).significant(e.rms) for e in errors]
-        lines.append(f"{'  ' + signal:{width}s}" + "".join(f"{text:>12s}" for text in shown))
+        lines.append(f"{'  ' + signal:{width}s}" + "".join(f"{text:>14s}" for text in shown))
     for effect, check in list(effects_to_check(document).items())[:2]:
         lines.append(f"check on the robot, for {effect.replace('_', ' ')}: {check}")
     lines.append("next: " + next_step_in_words(document, gap_json))
