@@ -131,11 +131,6 @@ def test_links_lead_somewhere():
     assert not broken
 
 
-def test_every_link_of_the_readme_also_works_on_a_package_index():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert not [link for link in map("".join, LINK.findall(text)) if "://" not in link]
-
-
 def test_a_citation_that_does_not_resolve_is_noticed():
     assert SECTION.findall('(docs/sources.md, "No such thing")')
     assert "No such thing" not in headings(ROOT / "docs/sources.md")
