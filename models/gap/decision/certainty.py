@@ -105,7 +105,6 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         score = {name: float(np.dot(row, evidence.terms)) for name, row in self.answers.items()}
         weight = {name: np.exp(s - max(score.values())) for name, s in score.items()}
         if evidence.explains_nothing:
-            weight["outside"] += weight["catalogue"]
             weight["catalogue"] = 0.0
         total = sum(weight.values())
         return Answers(**{name: float(w / total) for name, w in weight.items()})
