@@ -14,11 +14,10 @@ effect that stands out from it competes by the error on what was left out
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
-
-import numpy as np
 
 from models.gap.decision.certainty import Answers, Certainty, Evidence
 from models.gap.estimation.gauss_newton import GaussNewton
@@ -75,6 +74,8 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
 
     `equation_error`: fraction of its d′ that the equation of an effect may miss.
     """
+    rounds = [search.beside(search.nothing)]
+    margin = _margin(separations_alone(search, rounds[0]))
 
     def least(fit: SetFit) -> float:
         return certainty.least_separation(search.estimator, fit.point)
@@ -82,20 +83,20 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     def probability(fit: SetFit) -> float:
         return certainty.answers_for(evidence_of(search, fit, certainty, margin)).catalogue
 
-    rounds = [search.beside(search.nothing)]
-    margin = _margin(separations_alone(search, rounds[0]))
     grown = [search.settled(next(iter(rounds[0]), search.nothing))]
     while least(grown[-1]) < grown[-1].separation and len(grown[-1].candidates) < MOST_NAMED:
         fit = grown[-1]
         error = equation_error * fit.separation
         # The least that can be enough: with a larger set the link may prove to be the same
-        added = float(np.hypot(certainty.separation_of_nothing, error))
+        added = math.hypot(certainty.separation_of_nothing, error)
         larger = search.beside(fit, added)
         if len(fit.candidates) == 1:  # two effects may look like a third
             larger = ranked(larger + search.pairs(fit.gain + added**2 / 2))
         rounds.append(larger)
-        better = (f for f in larger if _replaces(search, f, fit, float(np.hypot(least(f), error))))
-        if (more := next(better, None)) is None:
+        more = next(
+            (f for f in larger if _replaces(search, f, fit, math.hypot(least(f), error))), None
+        )
+        if more is None:
             break
         grown.append(search.settled(more))
     probable = [fit for fit in grown if probability(fit) >= NAMED_PROBABILITY]

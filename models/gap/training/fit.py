@@ -90,13 +90,15 @@ def fitted_certainty(
         data_sets=len(labelled),
         separation_of_nothing=round(least, 1),
         residual_of_nothing=round(noise, 3),
-        separation_scale=scale,
+        separation_scale=dict(scale),
         answers=_coefficients(_regression(best).fit(x, y)),
         equation_error=_rounded(errors),
     )
-    for key in KNOWLEDGE:
-        if key not in STUDY_TRIALS:
-            scale[key] = _factor_without_names(certainty, scale[key], nulls.get(key, ()))
+    scale |= {
+        key: _factor_without_names(certainty, scale[key], nulls.get(key, ()))
+        for key in KNOWLEDGE if key not in STUDY_TRIALS
+    }  # fmt: skip
+    certainty = msgspec.structs.replace(certainty, separation_scale=scale)
     in_catalogue = predicted[best][:, ANSWERS.index("catalogue")]
     counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
     report = [

@@ -40,6 +40,20 @@ def test_the_most_probable_answer_follows_the_evidence(evidence, answer):
     assert max(answers, key=answers.get) == answer
 
 
+@pytest.mark.parametrize(
+    ("less", "more"),
+    [
+        (Evidence(15.0, 0.3, 0.1, 0.5, False), Evidence(40.0, 0.3, 0.1, 0.5, False)),
+        (Evidence(15.0, 0.1, 0.1, 0.5, False), Evidence(15.0, 0.6, 0.1, 0.5, False)),
+        (Evidence(15.0, 0.3, 0.4, 0.5, False), Evidence(15.0, 0.3, 0.1, 0.5, False)),
+    ],
+    ids=["a larger separation", "a larger margin", "strengths that differ less"],
+)
+def test_evidence_that_speaks_for_a_name_makes_it_more_probable(less, more):
+    certainty = read_certainty()
+    assert certainty.answers_for(less).catalogue < certainty.answers_for(more).catalogue
+
+
 # Look-alikes and hypotheses
 
 CATALOGUE = Answers(0.0, 1.0, 0.0)

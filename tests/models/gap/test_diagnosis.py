@@ -8,6 +8,7 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from models.bundle.train import refuse_fitted
+from models.gap.decision.certainty import knowledge_of
 from models.gap.decision.written_fit import PlantWriter
 from models.gap.diagnosis import diagnose
 from models.gap.report.gap_results import gap_document
@@ -33,6 +34,16 @@ def test_without_a_hidden_effect_nothing_is_named(nothing):
     assert nothing.verdict == "no gap" and nothing.named == ()
     assert nothing.improved.parameters == nothing.plant.parameters
     assert "current_saturation" in nothing.naming.search.unexcited, "no trial reaches the limit"
+
+
+def test_a_link_whose_parameters_the_fit_moves_counts_as_another_one(nothing):
+    estimator, point = nothing.naming.search.estimator, nothing.naming.search.nothing.point
+    link = [q.name.startswith(("root_", "span_")) and q.kind == "nuisance"
+            for q in estimator.residuals.fit_parameters]  # fmt: skip
+    deviation = np.array([q.standard_deviation for q in estimator.residuals.fit_parameters])
+    moved = replace(point, values=np.where(link, -4 * deviation, point.values))
+    assert knowledge_of(estimator, point) == "identified"
+    assert knowledge_of(estimator, moved) == "other link"
 
 
 def test_a_dead_time_is_named_with_its_value_and_added(late):
