@@ -279,7 +279,7 @@ class GaussNewton:
                 self.linearise(point, free)
         return point
 
-    def fit_nuisance(self, start: FitPoint) -> FitPoint:
+    def fit_nuisance(self, start: FitPoint, relative: float = 0.0) -> FitPoint:
         """Fit of nuisance and variation between trials, without any effect.
 
         The nuisance goes first: together they start along the valley in which the variation of
@@ -288,8 +288,8 @@ class GaussNewton:
         """
         kinds = np.array([q.kind for q in self.residuals.fit_parameters])
         steps = NUISANCE_FIT_STEPS
-        point = self.fit(start, kinds == "nuisance", steps)
-        return self.fit(point, kinds != "effect", steps)
+        point = self.fit(start, kinds == "nuisance", steps, relative)
+        return self.fit(point, kinds != "effect", steps, relative)
 
     def line_search(self, point: FitPoint, step: Array) -> FitPoint | None:
         """First point along a step with a lower cost; None if there is none.

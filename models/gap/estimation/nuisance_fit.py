@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from models.gap.estimation.fitted_floor import with_amplified_scatter, with_repeated_trials
-from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.gauss_newton import RELATIVE_FALL, FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.residuals import Residuals
 
@@ -53,7 +53,10 @@ def nuisance_fit_of(residuals: Residuals, floor: NoiseFloor) -> NuisanceFit:
         gap = [r - m for r, m in zip(point.rows, estimator.means, strict=True)]
         wider = measured.widened(residuals.groups, residuals.trials, gap)
         estimator = GaussNewton(residuals, wider)
-        point = estimator.fit_nuisance(estimator.at(point.values))
+        is_last = k == ROUNDS - 1  # the floor alone follows from those before
+        point = estimator.fit_nuisance(
+            estimator.at(point.values), 0.0 if is_last else RELATIVE_FALL
+        )
     return NuisanceFit(estimator, GaussNewton(residuals, measured), point)
 
 

@@ -90,6 +90,7 @@ class EffectSearch:
         # Details that only a learned floor separates from noise stay as assumed.
         can_fit = [estimator.floor.learned or not q.fitted_last for q in parameters]
         self.base = np.array([not q.effect for q in parameters])
+        self.last = np.array([q.fitted_last for q in parameters])
         self.of = {
             name: np.array([q.effect == name for q in parameters]) & can_fit
             for name in dict.fromkeys(q.effect for q in parameters if q.effect)
@@ -146,7 +147,7 @@ class EffectSearch:
             for step, promised, pair in rows[:REFITTED_PAIRS]
             if REFIT_GROWTH * promised >= least_gain
         ]
-        return self._refitted(self.nothing, moved, REFITTED_PAIRS)
+        return self._refitted(self.nothing, moved, REFITTED_PAIRS, both_signs=False)
 
     def settled(self, fit: SetFit, beyond: SetFit | None = None) -> SetFit:
         """The same set, fitted by this search's estimator until it converges.
@@ -189,7 +190,11 @@ class EffectSearch:
         return sorted(rows, key=lambda row: row.promised)
 
     def _refitted(
-        self, fit: SetFit, screened: Sequence[tuple[tuple[str, ...], FitPoint]], most: int
+        self,
+        fit: SetFit,
+        screened: Sequence[tuple[tuple[str, ...], FitPoint]],
+        most: int,
+        both_signs: bool = True,
     ) -> list[SetFit]:
         """The first sets whose strengths are not at a bound, refitted, the largest d′ first."""
         fits: list[SetFit] = []
@@ -198,7 +203,9 @@ class EffectSearch:
                 break
             added = [c for c in candidates if c not in fit.candidates]
             free = np.logical_or.reduce([fit.free, *(self.of[c] for c in added)])
-            point = self._from_both_signs(fit.point, point, free, added)
+            if both_signs:
+                point = self._from_both_signs(fit.point, point, free, added)
+            point = self._from_start(point, free)
             bounded = within_bounds(self.estimator, fit.point, point, free, added)
             if bounded is not None:
                 gain = self.nothing.point.cost - bounded[0].cost
@@ -209,20 +216,25 @@ class EffectSearch:
     def _from_both_signs(
         self, here: FitPoint, screened: FitPoint, free: Mask, added: Sequence[str]
     ) -> FitPoint:
-        """Fit from a screened start, from zero and from the other sign.
+        """Best short fit from a screened start, from zero and from the other sign.
 
         The fit without the candidate is among the starts, so the cost of a nested model never
-        rises. Parameters that are `fitted_last` are freed where the others ended.
+        rises.
         """
         estimator, of_effects = self.estimator, np.logical_or.reduce([self.of[c] for c in added])
-        last = np.array([q.fitted_last for q in estimator.residuals.fit_parameters])
         starts, mirrored = [screened], screened.values.copy()
         mirrored[of_effects] = np.clip(
             -mirrored[of_effects], estimator.low[of_effects], estimator.high[of_effects]
         )
         if np.any(mirrored != screened.values):
             starts.append(estimator.carry(here, estimator.at(mirrored)))
-        ends = [estimator.fit(s, free & ~last, START_STEPS) for s in starts if s.cost < np.inf]
-        best = min([here, *ends], key=lambda p: p.cost)
-        best = estimator.fit(best, free & ~last, FIT_STEPS, RELATIVE_FALL)
-        return estimator.fit(best, free, FIT_STEPS, RELATIVE_FALL) if np.any(free & last) else best
+        first = free & ~self.last
+        ends = [estimator.fit(s, first, START_STEPS) for s in starts if s.cost < np.inf]
+        return min([here, *ends], key=lambda p: p.cost)
+
+    def _from_start(self, start: FitPoint, free: Mask) -> FitPoint:
+        """Fit from a start; parameters that are `fitted_last` are freed where the others ended."""
+        point = self.estimator.fit(start, free & ~self.last, FIT_STEPS, RELATIVE_FALL)
+        if np.any(free & self.last):
+            point = self.estimator.fit(point, free, FIT_STEPS, RELATIVE_FALL)
+        return point

@@ -5,7 +5,8 @@ vanish there, so strengths are tried one by one: fractions of the bound and, whe
 reads a first strength from the trials (`Effect.dead_zone_strength`), that one too; then values
 between the best and its neighbours. Any other effect is tried at strengths far from zero too: a
 plant that was identified without it may have compensated for it, as excessive damping for a
-low-pass of the sensor. Then a far strength lowers the cost, although no step does.
+low-pass of the sensor. Then a far strength lowers the cost, although no step does. With a link only
+the sign is tried to which derivatives lead.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ def strengths_far_from_zero(
     here, *unfitted = starts
     if estimator.residuals.plant.load != "link":
         return _distant_strengths(estimator, here, of_effect, DISTANT_BOUND_FRACTIONS)
-    points = _distant_strengths(estimator, here, of_effect, DISTANT_BOUND_FRACTIONS[:1])
+    points = _distant_strengths(estimator, here, of_effect, DISTANT_BOUND_FRACTIONS[:1], free)
     cost = min([cost, *(point.cost for point in points)])
     for start in unfitted:
         points += _promising_strength(estimator, start, of_effect, free, cost)
@@ -102,7 +103,7 @@ def _promising_strength(
     dead time of 39 ms ended as 4 ms beside another link. The plant as given has the right link.
     """
     rows = []
-    for point in _distant_strengths(estimator, unfitted, of_effect, DISTANT_BOUND_FRACTIONS):
+    for point in _distant_strengths(estimator, unfitted, of_effect, DISTANT_BOUND_FRACTIONS, free):
         _, fall = estimator.step(point, free)
         rows.append((point.cost - fall, point))
     promised, best = min(rows, key=lambda row: row[0], default=(cost, unfitted))
@@ -110,14 +111,25 @@ def _promising_strength(
 
 
 def _distant_strengths(
-    estimator: GaussNewton, here: FitPoint, of_effect: Mask, fractions: Sequence[float]
+    estimator: GaussNewton,
+    here: FitPoint,
+    of_effect: Mask,
+    fractions: Sequence[float],
+    free: Mask | None = None,
 ) -> list[FitPoint]:
-    """Points at some fractions of an effect's bounds."""
+    """Points at some fractions of an effect's bounds.
+
+    With `free` only of the bound to which a step of these fit parameters leads.
+    """
     at = int(np.flatnonzero(of_effect)[0])
     strength = estimator.residuals.fit_parameters[at]
+    bounds = {strength.low, strength.high}
+    if free is not None:
+        step, _ = estimator.step(here, free)
+        bounds = {strength.high if step[at] > 0 else strength.low}
     result = []
     for fraction in fractions:
-        for bound in {strength.low, strength.high} - {0.0}:
+        for bound in bounds - {0.0}:
             values = here.values.copy()
             values[at] = fraction * bound
             point = estimator.at(values)
