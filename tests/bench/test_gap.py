@@ -81,5 +81,5 @@ def test_a_case_runs_from_the_rig_to_its_rates(tmp_path, monkeypatch):
     identify_on_rig(path, "default")
     found = run_hidden_case(case, read_plant(path))
     assert found.verdict in ("closed", "reduced", "no gap", "not in the catalogue")
-    assert set(found.alone) and found.separation > 0 and found.residual_before > 0
+    assert found.best and found.separation > 0 and found.evidence.residual > 0
     assert figures_by_link([found])["link changed"]["class_right"]["of"] == 1

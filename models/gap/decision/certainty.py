@@ -5,16 +5,14 @@ missing, and that something outside of the catalogue is:
 
 - separation: its d′, over a factor where the plant's own error is larger: on motions and at
   payloads that it was not identified on, and on a link that changed since;
-- margin: fraction of its d′ by which the first name exceeds the next effect, each alone. What
-  stands in for something else is seldom alone in that;
 - difference: by how much the strength of an effect differs between parts of the trials
-  (`models.gap.search.strength_consistency`).
-
-What leaves nearly all of a gap that is more than noise explains nothing, whatever its d′.
+  (`models.gap.search.strength_consistency`);
+- residual: what is unexplained, in noise floors.
 
 Where nothing is missing, the plant's own error lets some effect reach a large d′ as well. But as a
-stand-in it needs another strength in each part of the trials. The numbers enter a multinomial
-logistic regression; `certainty.json` holds it with the error of each effect's equation.
+stand-in it needs another strength in each part of the trials. What stands in for something outside
+of the catalogue leaves more than noise. The numbers enter a multinomial logistic regression;
+`certainty.json` holds it with the error of each effect's equation.
 `python -m models.gap.training` makes the file.
 """
 
@@ -38,35 +36,27 @@ DECIDED: Final = 0.9
 """Probability above which an effect counts as decided; below 1 − this, as excluded."""
 LEAST_SEPARATION: Final = 1.0
 """d′ below which a smaller one proves no less: its standard deviation by noise alone."""
+LEAST_RESIDUAL: Final = 1.0
+"""Mean squared residual below which a smaller one proves no less: that of noise."""
 LINK_CHANGED: Final = 2.0
 """Root mean square change of the link's parameters, in standard deviations of their priors, from
 which it counts as another link. Of 20 data sets for tuning without an effect the same link stayed
 below it in all ten, another one exceeded it in seven of ten."""
-NOTHING_EXPLAINED: Final = 0.95
-"""Fraction of a gap that is left above which nothing of it counts as explained. Right names on rigs
-for tuning left up to 0.89 of a gap that was more than noise, a single one 0.98. A payload that
-stood in for a denied ripple left 0.997."""
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Numbers of a fit that the probabilities follow from; see the module's docstring."""
 
     separation: float
-    margin: float
     difference: float
-    left: float  # Fraction of the gap's amplitude, beyond noise, that is left
-    is_open: bool  # Whether more than noise is left
+    residual: float  # Mean squared, in noise floors that allow for the equation's error
 
     @property
     def terms(self) -> list[float]:
         """Terms of the regression."""
         separation = max(self.separation, LEAST_SEPARATION)
-        return [1.0, float(np.log(separation)), self.margin, self.difference]
-
-    @property
-    def explains_nothing(self) -> bool:
-        """Whether it leaves nearly all of a gap that is more than noise."""
-        return self.is_open and self.left > NOTHING_EXPLAINED
+        residual = max(self.residual, LEAST_RESIDUAL)
+        return [1.0, float(np.log(separation)), self.difference, float(np.log(residual))]
 
 
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -104,8 +94,6 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         """Probabilities of the answers."""
         score = {name: float(np.dot(row, evidence.terms)) for name, row in self.answers.items()}
         weight = {name: np.exp(s - max(score.values())) for name, s in score.items()}
-        if evidence.explains_nothing:
-            weight["catalogue"] = 0.0
         total = sum(weight.values())
         return Answers(**{name: float(w / total) for name, w in weight.items()})
 

@@ -15,7 +15,7 @@ effect that stands out from it competes by the error on what was left out
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,7 +25,6 @@ from models.gap.estimation.nuisance_fit import NuisanceFit
 from models.gap.search.effect_search import EffectSearch, SetFit
 from models.gap.search.held_out import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.strength_consistency import strength_difference
-from models.shared.catalogue import effect_and_joint
 
 MOST_NAMED: Final = 3
 """Most effects of one diagnosis [assumed]."""
@@ -75,13 +74,12 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     `equation_error`: fraction of its d′ that the equation of an effect may miss.
     """
     rounds = [search.beside(search.nothing)]
-    margin = _margin(separations_alone(search, rounds[0]))
 
     def least(fit: SetFit) -> float:
         return certainty.least_separation(search.estimator, fit.point)
 
     def probability(fit: SetFit) -> float:
-        return certainty.answers_for(evidence_of(search, fit, certainty, margin)).catalogue
+        return certainty.answers_for(evidence_of(search, fit, certainty)).catalogue
 
     grown = [search.settled(next(iter(rounds[0]), search.nothing))]
     while least(grown[-1]) < grown[-1].separation and len(grown[-1].candidates) < MOST_NAMED:
@@ -102,7 +100,7 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     probable = [fit for fit in grown if probability(fit) >= NAMED_PROBABILITY]
     best = (probable or grown)[-1]
     named = best if probable else search.nothing
-    evidence = evidence_of(search, best, certainty, margin)
+    evidence = evidence_of(search, best, certainty)
     answers = certainty.answers_for(evidence)
     return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)
 
@@ -122,42 +120,23 @@ def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
             held_out, rounds = HeldOut(search.estimator), [(better,)]
         fit = better
     best = fit if fit.candidates else next(iter(rounds[0]), fit)
-    margin = _margin(separations_alone(search, rounds[0]))
-    evidence = evidence_of(search, best, certainty, margin)
+    evidence = evidence_of(search, best, certainty)
     return Naming(fit, best, tuple(rounds), search, evidence, None)
 
 
-def evidence_of(search: EffectSearch, fit: SetFit, certainty: Certainty, margin: float) -> Evidence:
-    """Numbers of a fit that its probability follows from; `margin` is that of the first name."""
+def evidence_of(search: EffectSearch, fit: SetFit, certainty: Certainty) -> Evidence:
+    """Numbers of a fit that its probability follows from."""
     estimator = search.estimator
-    residual = estimator.mean_square(fit.point)
     scale = certainty.scale_for(estimator, fit.point) if estimator.floor.learned else 1.0
     return Evidence(
         separation=fit.separation / scale,
-        margin=margin,
         difference=_difference(search, fit),
-        left=search.nuisance.left_fraction(fit.point),
-        is_open=residual > certainty.residual_of_nothing,
+        residual=estimator.mean_square(fit.point),
     )
 
 
 def ranked(sets: Sequence[SetFit]) -> list[SetFit]:
     return sorted(sets, key=lambda f: -f.gain)
-
-
-def separations_alone(search: EffectSearch, first_round: Sequence[SetFit]) -> dict[str, float]:
-    """d′ of each candidate alone, refitted where the first round did."""
-    return search.screened | {fit.candidates[0]: fit.separation for fit in first_round}
-
-
-def _margin(alone: Mapping[str, float]) -> float:
-    """Fraction of its d′ by which the best candidate exceeds the next effect; `alone` by name."""
-    ordered = sorted(alone, key=lambda name: -alone[name])
-    if not ordered or alone[ordered[0]] <= 0:
-        return 0.0
-    best = effect_and_joint(ordered[0])[0]
-    others = [alone[name] for name in ordered if effect_and_joint(name)[0] != best]
-    return 1.0 - max(others, default=0.0) / alone[ordered[0]]
 
 
 def _replaces(search: EffectSearch, larger: SetFit, fit: SetFit, needed: float) -> bool:

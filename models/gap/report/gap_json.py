@@ -83,16 +83,15 @@ class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Evidence for a named effect.
 
     `separation` is the d′ that it adds to those named before it, `separation_of_nothing` the d′
-    that is reached where nothing is missing. `margin` is the fraction of its d′ by which the first
-    name exceeds the next effect, each alone. Of the whole named set
+    that is reached where nothing is missing. Of the whole named set
     (`models.gap.decision.certainty`): `difference` of its strengths between parts of the trials,
-    and the fraction of the gap that it leaves, `left`.
+    mean squared `residual` in noise floors, and the fraction of the gap that it leaves, `left`.
     """
 
     separation: float
     separation_of_nothing: float
-    margin: float
     difference: float
+    residual: float
     left: float
 
 

@@ -216,9 +216,9 @@ def _named(diagnosis: Diagnosis) -> list[NamedEffect]:
                 evidence=NamingEvidence(
                     separation,
                     diagnosis.separation_of_nothing,
-                    diagnosis.evidence.margin,
                     diagnosis.evidence.difference,
-                    diagnosis.evidence.left,
+                    diagnosis.evidence.residual,
+                    diagnosis.gap_left_fraction,
                 ),
                 look_alikes=tuple(
                     SimilarEffects(_beside(diagnosis, other), other.separation) for other in alike
@@ -290,12 +290,10 @@ def _refused(diagnosis: Diagnosis) -> list[RefusedEffects]:
 
 def _improbable(probability: float, evidence: Evidence) -> str:
     """Why the best candidate is not named, as a clause."""
-    if evidence.explains_nothing:
-        return f"it leaves {evidence.left:.1%} of the gap"
     return (
-        f"its probability is {probability:.0%}: it exceeds the next effect by "
-        f"{evidence.margin:.0%}, and its strength would have to differ by "
-        f"{evidence.difference:.0%} between parts of the trials"
+        f"its probability is {probability:.0%}: its strength would have to differ by "
+        f"{evidence.difference:.0%} between parts of the trials, and it leaves "
+        f"{evidence.residual:.2f} noise floors"
     )
 
 

@@ -24,7 +24,7 @@ from models.gap.decision.certainty import (
     knowledge_of,
     read_certainty,
 )
-from models.gap.decision.naming import evidence_of, separations_alone
+from models.gap.decision.naming import evidence_of
 from models.gap.diagnosis import Diagnosis, GapVerdict, diagnose
 from models.gap.training.cases import PAYLOAD_SETS, PAYLOADS_KG, HiddenCase, motion_named
 from models.plant.identification.identify import identify
@@ -64,11 +64,8 @@ class DataSetRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     best: tuple[str, ...] = ()  # Candidate with the largest d′ alone
     separation: float = 0.0  # d′ of it
     knowledge: Knowledge = "identified"
-    evidence: Evidence = Evidence(0.0, 0.0, 0.0, 1.0, False)
+    evidence: Evidence = Evidence(0.0, 0.0, 1.0)
     answers: Answers | None = None
-    alone: dict[str, float] = {}  # d′ of each candidate alone
-    residual_before: float = 0.0  # Mean squared, in noise floors, of the nuisance fit
-    residual_after: float = 0.0  # The same with the best set, its equation's error allowed for
     strengths: tuple[Strength, ...] = ()
     # Whether the whole catalogue tells a denied effect from what was named instead
     separable: bool = True
@@ -185,11 +182,8 @@ def run_hidden_case(case: HiddenCase, plant: Plant) -> DataSetRecord:
         best=best.candidates,
         separation=best.separation,
         knowledge=knowledge_of(search.estimator, best.point),
-        evidence=evidence_of(search, best, read_certainty(), diagnosis.naming.evidence.margin),
+        evidence=evidence_of(search, best, read_certainty()),
         answers=diagnosis.answers,
-        alone=separations_alone(search, first),
-        residual_before=diagnosis.nuisance.mean_residual(search.nothing.point),
-        residual_after=search.estimator.mean_square(best.point),
         strengths=tuple(_strengths(diagnosis, rig, case)),
         separable=separable,
         seconds=round(time.monotonic() - start_s, 1),

@@ -65,7 +65,7 @@ def fitted_certainty(
     factors = {key: max(1.0, value / least) for key, value in reached.items()}
     scale = {key: round(factors.get(key, max(factors.values())), 1) for key in KNOWLEDGE}
     study = [r for r in possible if r.knowledge in STUDY_TRIALS]
-    noise = limit([r.residual_after for r in study if r.case.kind == "null"])
+    noise = limit([r.evidence.residual for r in study if r.case.kind == "null"])
     scaled = [
         (msgspec.structs.replace(r.evidence, separation=r.separation / scale[r.knowledge]), r)
         for r in study

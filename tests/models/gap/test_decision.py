@@ -26,13 +26,12 @@ from models.trials.trial import Trial, TrialMeta, TrialSet
 @pytest.mark.parametrize(
     ("evidence", "answer"),
     [
-        (Evidence(60.0, margin=0.6, difference=0.05, left=0.2, is_open=False), "catalogue"),
-        (Evidence(2.0, margin=0.1, difference=0.2, left=1.0, is_open=False), "nothing"),
-        (Evidence(6.0, margin=0.1, difference=0.5, left=0.9, is_open=False), "nothing"),
-        (Evidence(40.0, margin=0.1, difference=0.8, left=0.9, is_open=True), "outside"),
-        (Evidence(36.0, margin=0.6, difference=0.05, left=1.0, is_open=True), "outside"),
+        (Evidence(60.0, difference=0.05, residual=1.0), "catalogue"),
+        (Evidence(2.0, difference=0.2, residual=0.9), "nothing"),
+        (Evidence(6.0, difference=0.5, residual=1.0), "nothing"),
+        (Evidence(40.0, difference=0.8, residual=2.0), "outside"),
     ],
-    ids=["clear", "faint", "the plant's error", "stand-in", "explains nothing"],
+    ids=["clear", "faint", "the plant's error", "stand-in"],
 )
 def test_the_most_probable_answer_follows_the_evidence(evidence, answer):
     answers = msgspec.structs.asdict(read_certainty().answers_for(evidence))
@@ -43,11 +42,11 @@ def test_the_most_probable_answer_follows_the_evidence(evidence, answer):
 @pytest.mark.parametrize(
     ("less", "more"),
     [
-        (Evidence(15.0, 0.3, 0.1, 0.5, False), Evidence(40.0, 0.3, 0.1, 0.5, False)),
-        (Evidence(15.0, 0.1, 0.1, 0.5, False), Evidence(15.0, 0.6, 0.1, 0.5, False)),
-        (Evidence(15.0, 0.3, 0.4, 0.5, False), Evidence(15.0, 0.3, 0.1, 0.5, False)),
+        (Evidence(15.0, 0.1, 1.2), Evidence(40.0, 0.1, 1.2)),
+        (Evidence(15.0, 0.4, 1.2), Evidence(15.0, 0.1, 1.2)),
+        (Evidence(15.0, 0.1, 5.0), Evidence(15.0, 0.1, 1.2)),
     ],
-    ids=["a larger separation", "a larger margin", "strengths that differ less"],
+    ids=["a larger separation", "strengths that differ less", "less that is unexplained"],
 )
 def test_evidence_that_speaks_for_a_name_makes_it_more_probable(less, more):
     certainty = read_certainty()

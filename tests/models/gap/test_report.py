@@ -135,7 +135,7 @@ def effect(name, joint=None, look_alikes=(), parameters=None, **others):
     values = parameters or {f"{name}_1_x": FittedValue(0.03, "s", 0.001, 0.0)}
     return NamedEffect(
         effect=name, joint=joint, parameters=values,
-        evidence=NamingEvidence(40.0, 25.0, 0.6, 0.05, 0.2),
+        evidence=NamingEvidence(40.0, 25.0, 0.05, 1.1, 0.2),
         look_alikes=tuple(SimilarEffects((e,), 38.0) for e in look_alikes), **others,
     )  # fmt: skip
 

@@ -93,9 +93,9 @@ def test_a_case_with_a_record_is_not_run_again_and_a_failure_is_reported(tmp_pat
 def made_record(case):
     """Record without a diagnosis: a clear effect is named rightly, a denied one explains little."""
     rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
-    separation, margin, difference, remaining = {
-        "null": (3.0, 0.1, 0.3, 1.0), "outside": (30.0, 0.1, 0.6, 0.9),
-    }.get(case.kind, (40.0, 0.5, 0.05, 0.1))  # fmt: skip
+    separation, difference, residual = {
+        "null": (3.0, 0.3, 1.0), "outside": (30.0, 0.6, 3.0),
+    }.get(case.kind, (40.0, 0.05, 1.0))  # fmt: skip
     knowledge = "identified"
     if case.motion != "study":
         knowledge = "other motions"
@@ -109,9 +109,7 @@ def made_record(case):
     ]  # fmt: skip
     return DataSetRecord(
         case=case, best=(best,), separation=separation, knowledge=knowledge,
-        alone={best: separation},
-        evidence=Evidence(separation, margin, difference, remaining, False),
-        residual_before=1 + 0.1 * rng.random(), residual_after=1.0,
+        evidence=Evidence(separation, difference, residual),
         named=() if case.kind == "null" else (best,), strengths=tuple(strengths),
     )  # fmt: skip
 
@@ -131,9 +129,9 @@ def test_the_fitted_probabilities_answer_as_the_records_do(made_records):
     fitted, report = fitted_certainty(made_records, {"numpy": "2"})
     assert fitted.made_with == {"numpy": "2"} and fitted.data_sets == len(made_records)
     for kind, evidence in {
-        "nothing": Evidence(3.0, 0.1, 0.3, 1.0, False),
-        "catalogue": Evidence(40.0, 0.5, 0.07, 0.1, False),
-        "outside": Evidence(30.0, 0.1, 0.6, 0.9, True),
+        "nothing": Evidence(3.0, 0.3, 1.0),
+        "catalogue": Evidence(40.0, 0.07, 1.0),
+        "outside": Evidence(30.0, 0.6, 3.0),
     }.items():
         assert getattr(fitted.answers_for(evidence), kind) > 0.8
     assert 3.0 < fitted.separation_of_nothing < 12.0
@@ -148,14 +146,14 @@ def test_a_larger_separation_counts_no_more_where_nothing_reaches_it_too(made_re
     other = [
         msgspec.structs.replace(
             r, case=replace(r.case, motion="slow"), knowledge="other motions", separation=24.0,
-            evidence=Evidence(24.0, 0.1, 0.05, 0.3, False),
+            evidence=Evidence(24.0, 0.05, 1.0),
         )
         for r in made_records if r.case.kind == "null"
     ]  # fmt: skip
     fitted, _ = fitted_certainty([*made_records, *other], {})
     scale = fitted.separation_scale
     assert scale["identified"] == 1.0 < scale["other motions"]
-    scaled = Evidence(24.0 / scale["other motions"], 0.1, 0.05, 0.3, False)
+    scaled = Evidence(24.0 / scale["other motions"], 0.05, 1.0)
     assert fitted.answers_for(scaled).catalogue < 0.5
 
 
