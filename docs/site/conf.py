@@ -9,8 +9,8 @@ exclude_patterns = ["site", "schema", "notebooks/bundle_1dof"]
 # Headings are addressed like on a code host, so that the same links work in both.
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
-# decisions.md and safety.md skip a level on purpose; a field like `dof` belongs to several classes.
-suppress_warnings = ["myst.header", "ref.python"]
+# A field like `dof` belongs to several classes.
+suppress_warnings = ["ref.python"]
 
 # The notebooks are committed with their outputs; the tests run them.
 nb_execution_mode = "off"

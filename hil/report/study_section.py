@@ -443,7 +443,7 @@ def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
                         FILE_SIZE.text(entry.graph_bytes),
                     ]
                 )  # fmt: skip
-        notes.append(f"{dof}DOF: {document.reason}")
+        notes.append(f"{dof}DOF: {document.reason}.")
         if document.runtimes:
             costs = ", ".join(f"{r} {latency_text(v)}" for r, v in document.runtimes.items())
             notes.append(f"Observer and predictor together, warm / cold in {DELAY.name}: {costs}.")

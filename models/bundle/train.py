@@ -183,7 +183,7 @@ def train(
     <Training of bundle_1dof: observer, tests: none>
     >>> print(result.summary())
     bundle_1dof
-      the robot gets: On payloads and motions left out the observer's tip, ...
+      the robot gets: the observer's tip, without a correction, off by ...
     """
     directory = Path(out)
     if not 0.0 <= askew_rad <= LARGEST_ASKEW_RAD:

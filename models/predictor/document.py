@@ -109,7 +109,7 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
 
     dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     chosen: str  # Candidate that the robot gets
-    reason: str  # Reason for the choice, in one sentence
+    reason: str  # Chosen candidate with its errors, in words
     trials: tuple[str, ...]
     motions: tuple[str, ...]
     payload_kg: tuple[float, ...]

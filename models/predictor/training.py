@@ -245,7 +245,7 @@ def range_reasons(predictor: GuardedTip, inputs: Array) -> RangeReasons:
 
 
 def _reason(chosen: CandidateResult, results: Sequence[CandidateResult]) -> str:
-    """One sentence on the errors of the chosen candidate, and on those of the others."""
+    """The chosen candidate with its errors, and those of the others."""
     score = chosen.nested
     others = ", ".join(
         f"{result.candidate.name} {LENGTH.number(result.nested.mean_m, 2)}"
@@ -254,8 +254,8 @@ def _reason(chosen: CandidateResult, results: Sequence[CandidateResult]) -> str:
     )
     better = f"; no candidate that is less simple is better by more than 3 % ({others} mm)"
     return (
-        f"On payloads and motions left out {chosen.candidate.summary} is off by "
-        f"{LENGTH.number(score.mean_m, 2)} mm on average and its interval covers "
+        f"{chosen.candidate.summary}, off by {LENGTH.number(score.mean_m, 2)} mm on average on "
+        f"payloads and motions left out; its interval covers "
         f"{FRACTION.number(score.coverage, 1)} % ({FRACTION.number(score.coverage_least, 1)} % on "
-        f"the worst axis){better if others else ''}."
+        f"the worst axis){better if others else ''}"
     )

@@ -17,11 +17,10 @@ PAGES = sorted(
 )
 OWN_FILES = {
     "docs/gap.md": ("build/new_trials",),
-    "docs/gap/experiment.md": ("build/gap", "build/gap_trials", "build/new_trials"),
     "docs/gap/real-data.md": ("DATA/bam_xl330",),
     "docs/guides/deploy.md": ("run.mcap", "map.toml", "logs"),
     "docs/guides/own-mocap.md": ("take_001.csv", "takes", "run.mcap", "map.toml"),
-    "docs/robot.md": ("run.mcap", "take_001.csv", "map.toml", "motion.toml", "logs"),
+    "docs/robot.md": ("motion.toml",),
     "docs/trials.md": ("take.csv", "servo.csv", "run.mcap", "map.toml"),
 }
 """By page: what stands for the reader's own file."""
