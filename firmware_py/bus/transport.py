@@ -64,7 +64,9 @@ class SerialTransport:
         try:
             self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise InputError(path, f"cannot be opened ({error})", _port_remedy(path)) from None
+            raise InputError(
+                path or "port", f"cannot be opened ({error})", _port_remedy(path)
+            ) from None
         self._clock = clock
         self._fd: int = self._serial.fileno()
         self._request_low_latency()
@@ -169,7 +171,7 @@ def open_transport(name: str, baud: int, clock: Clock) -> Transport:
 
 
 def _port_remedy(path: str) -> str:
-    if not Path(path).exists():
+    if not path or not Path(path).exists():
         return "plug in the adapter and name its device (ls /dev/serial/by-id)"
     if not os.access(path, os.R_OK | os.W_OK):
         return "add yourself to the group dialout, or run 'dropstitch install-service'"

@@ -319,8 +319,8 @@ def timing_in_words(timing: TimingDocument) -> str:
     ]
     if environment.speed_up is not None:
         lines.append(
-            f"{environment.speed_up:.0f} times real time, "
-            f"{environment.speed_up_by_processor_time:.0f} times by processor time"
+            f"{environment.speed_up:.3g} times real time, "
+            f"{environment.speed_up_by_processor_time:.3g} times by processor time"
         )
     else:
         lines += _timing_lines(timing)
