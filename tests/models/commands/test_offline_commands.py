@@ -246,14 +246,19 @@ def test_right_trials_pass_with_a_page_each(validate, tmp_path):
     assert (tmp_path / "pages" / "take2.html").read_text().count("<svg") >= 4
 
 
-def test_a_wrong_trial_is_refused_by_its_cause(validate):
-    code, verdict = validate(dict, lambda c: {"angle_2_rad": -c["angle_2_rad"]})
-    assert (code, verdict["verdict"]) == (1, "refused")
-    assert verdict["trials"]["take1"]["verdict"] == "passed"
-    assert verdict["trials"]["take2"]["findings"][0]["cause"] == "sign"
-
-
-def test_a_single_trial_leaves_nothing_to_test_on(validate):
-    code, verdict = validate(dict)
-    assert (code, verdict["verdict"]) == (0, "warned")
-    assert verdict["findings"][0]["cause"] == "held out"
+@pytest.mark.parametrize(
+    ("changes", "code", "verdict", "cause"),
+    [
+        ((dict, lambda c: {"angle_2_rad": -c["angle_2_rad"]}), 1, "refused", "sign"),
+        ((dict,), 0, "warned", "held out"),  # nothing to test on
+    ],
+    ids=["wrong sign", "single trial"],
+)
+def test_other_trials_are_refused_or_warned_of_with_the_cause(
+    validate, changes, code, verdict, cause
+):
+    exit_code, result = validate(*changes)
+    assert (exit_code, result["verdict"]) == (code, verdict)
+    assert result["trials"]["take1"]["verdict"] == "passed"
+    last = result["trials"].get("take2", result)
+    assert last["findings"][0]["cause"] == cause

@@ -10,8 +10,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
-from models.bundle.train import name_tests, of_phases, refuse_fitted
-from models.plant.document import FittedTrial, Provenance
+from models.bundle.train import name_tests, of_phases
 from models.study.document import read_study
 from models.trials.files import write_trial
 from models.trials.trial import TrialSet
@@ -47,19 +46,6 @@ def test_phases_are_chosen_among_2dof_trials_only(toy_trials):
     assert of_phases(trials, [0.0, 90.0], "DIR").trials == trials.trials
     with pytest.raises(InputError, match=r"45 degrees.*--phase-deg 45"):
         of_phases(trials, [0.0, 45.0], "DIR")
-
-
-def test_an_unseen_trial_that_the_plant_was_fitted_to_is_refused(toy_trials):
-    training, held_out = toy_trials(1).split()
-    tests = name_tests(training, tuple(held_out))
-
-    def fitted_to(trial):
-        return Provenance(fitted_trials=(FittedTrial("another name", trial.sha256(), "rig"),))
-
-    unseen = tests["unseen_20deg"][0]
-    refuse_fitted(fitted_to(training[0]), "plant.json", tests)
-    with pytest.raises(InputError, match=unseen.name):
-        refuse_fitted(fitted_to(unseen), "plant.json", tests)
 
 
 def mirrored(trial):

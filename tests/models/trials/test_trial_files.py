@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, Motion
-from firmware_py.core.signals import UNIT_OF_SUFFIX, trial_signals
+from firmware_py.core.signals import trial_signals
 from models.plant.document import Provenance
 from models.plant.plant import NOMINAL, read_plant
 from models.rig.parameters import DEFAULT_STRUCTURE
@@ -467,13 +467,3 @@ def test_a_signal_in_another_unit_is_refused(name, signal, words):
         check_signal_units(Path("car.toml"), {name: SignalRole(*signal)})
     assert f"car.toml: signal {name} is in {signal[0]!r}" in str(refused.value)
     assert words in str(refused.value)
-
-
-def test_every_si_unit_of_the_contract_may_be_that_of_a_signal():
-    for suffix, unit in UNIT_OF_SUFFIX.items():
-        if unit != "ns":
-            signals = {"x": SignalRole(unit, "measured"), f"x_{suffix}": SignalRole(unit, "goal")}
-            check_signal_units(Path("car.toml"), signals)
-    # A condition has the unit of its parameter, whatever its name ends in: `_nm_v` is no suffix.
-    signals = {"constant": SignalRole("N.m/V", "condition", "force_constant_1_nm_v")}
-    check_signal_units(Path("car.toml"), signals)
