@@ -18,7 +18,6 @@ from models.plant.step_model import StepModel, Variable, runge_kutta
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta, TrialSet
 from tests.compiler_options import pytest_runtest_protocol  # noqa: F401 (hook of pytest)
-from tests.durations import pytest_terminal_summary  # noqa: F401 (hook of pytest)
 
 if hypothesis.settings.default.deadline is not None:  # tests/mutation has its own settings
     hypothesis.settings.register_profile("tests", deadline=None)  # a busy machine is no failure

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -19,6 +18,7 @@ from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import read_plant
 from models.trials.trial import TrialSet
 from tests.models.gap.conftest import assert_no_worse_held_out
+from tests.models.made_trials import with_columns, with_conditions
 
 FEW = ("backlash", "creep", "viscous_friction", "unmodelled_payload")
 GAINS = ("dead_time", "position_gain_change", "sync_offset", "viscous_friction")
@@ -35,6 +35,7 @@ def test_without_a_hidden_effect_nothing_is_named(nothing):
     assert nothing.verdict == "no gap" and nothing.named == ()
     assert nothing.improved.parameters == nothing.plant.parameters
     assert "current_saturation" in nothing.naming.search.unexcited, "no trial reaches the limit"
+    assert not nothing.floor.amplification_power, "repetitions differ as expected"
     assert_no_worse_held_out(nothing)
 
 
@@ -107,9 +108,8 @@ def test_unusable_arguments_are_refused(plant, hidden, make_trial):
     first, *others = hidden()
     with pytest.raises(InputError, match="is a copy of"):
         diagnose(plant, [first, replace(first, name="again"), *others])
-    wider = msgspec.structs.replace(first.meta, link_width_m=0.3)
     with pytest.raises(InputError, match=r"link_width_m is 0\.3 m, in the plant"):
-        diagnose(plant, [replace(first, meta=wider)])
+        diagnose(plant, [with_conditions(first, link_width_m=0.3)])
 
 
 @pytest.mark.slow
@@ -271,12 +271,12 @@ def bumped(trial):
     push[150:170] = np.hanning(20)
     sizes = {"angle_1_rad": 0.02, "current_1_a": 4.0, "tip_x_m": 0.1}
     pushed = {name: trial.columns[name] + size * push for name, size in sizes.items()}
-    return replace(trial, columns=trial.columns | pushed)
+    return with_columns(trial, **pushed)
 
 
 def mislabelled(trial):
     """A trial with 1 kg whose description states none."""
-    return replace(trial, meta=msgspec.structs.replace(trial.meta, payload_kg=0.0, trial=3))
+    return with_conditions(trial, payload_kg=0.0, trial=3)
 
 
 @pytest.mark.slow
@@ -314,7 +314,7 @@ def test_scatter_of_repetitions_raises_the_floor_at_that_payload(plant, hidden, 
             name: trial.columns[name] + trial.meta.payload_kg * size_m * sway
             for name in ("tip_x_m", "tip_z_m")
         }
-        trials.append(replace(trial, columns=trial.columns | moved))
+        trials.append(with_columns(trial, **moved))
     diagnosis = diagnosed(plant, TrialSet(tuple(trials)), FEW)
     assert set(diagnosis.floor.amplification_power) == {1.0}
     assert (diagnosis.named, diagnosis.verdict) == ((), "no gap")
