@@ -1,4 +1,4 @@
-"""The noise floor of an estimate, and its transfer to other trials."""
+"""The noise floor of an estimate, its transfer to other trials, and derivatives along a step."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,11 +9,16 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from models.gap.estimation.fitted_floor import (
+    noise_floor_for,
     noise_floor_of,
+    with_amplified_scatter,
     with_repeated_trials,
 )
+from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.transfer import transfer_weights, transferred, unknown_fraction
+from models.gap.residuals.fit_parameters import all_fit_parameters
+from models.gap.residuals.residuals import Residuals
 from models.plant.document import FloorRecord
 from models.plant.identification.noise_floor import (
     TrialGroup,
@@ -196,6 +201,20 @@ def test_a_floor_is_not_pooled_with_single_trials_or_with_its_own(repeated):
     assert with_repeated_trials(floor, residuals, rows) is floor
 
 
+def test_the_floor_grows_at_the_payload_whose_repetitions_scatter(repeated):
+    rng = np.random.default_rng(0)
+    floor, residuals = floor_and_residuals(rng, repeated)
+    rows = residual_rows(rng, repeated, DEVIATION)
+    grown = with_amplified_scatter(floor, residuals, [rows])
+    assert set(grown.amplification_power) == {2.0}
+    assert grown.amplification_power[2.0] == pytest.approx((1.0 + 100.0) / 2, rel=0.5)
+    (group,) = residuals.groups
+    larger = rows.copy()
+    larger[2:] *= np.sqrt(grown.amplification_power[2.0])
+    before, after = (whitened(f, group, repeated, r) for f, r in ((floor, rows), (grown, larger)))
+    assert after == pytest.approx(before, rel=1e-6, abs=1e-9)
+
+
 # Transfer of the plant's own error to other payloads, and to other trials of the same motion
 
 REACH_KG = 1.0
@@ -272,3 +291,24 @@ def test_the_floor_expects_the_error_of_a_trial_with_fewer_rows(trial_of):
     blind = floor_with({}, {})
     assert blind.curves_for(group, [new]) == ({}, "unknown")
     assert (floor.whitener(group, [new]) > 1.5 * blind.whitener(group, [new])).all()
+
+
+def test_derivatives_follow_a_step(plant, hidden):
+    trials = hidden(dead_time_1_s=0.02).trials
+    residuals = Residuals(plant, trials, all_fit_parameters(plant, trials, ["dead_time"]))
+    estimator = GaussNewton(residuals, noise_floor_for(residuals))
+    start = estimator.at(np.zeros(len(estimator.low)))
+    free = np.arange(len(start.values)) < 4
+    start = estimator.linearise(start, free)
+    step, _ = estimator.step(start, free)
+    end = estimator.line_search(start, step)
+    assert not end.slopes and end.has_derivatives(free) and not end.has_derivatives(~free)
+    slopes = [slope.copy() for slope in start.slopes]
+    start.slopes = []  # what becomes of the start later does not count
+    estimator.step(end, free)
+    moved = end.values - start.values
+    rows = zip(estimator.whitened(start.rows), estimator.whitened(end.rows), strict=True)
+    for after, before, (a, b) in zip(end.slopes, slopes, rows, strict=True):
+        np.testing.assert_allclose(after @ moved, (a - b).ravel(), rtol=0, atol=1e-8)
+        missed = np.abs(before @ moved - (a - b).ravel()).max()
+        assert missed > 1e-5, "the derivatives at the start miss a thousand times as much"

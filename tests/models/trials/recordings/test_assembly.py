@@ -8,7 +8,7 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.link.link_description import STUDY_LINK
 from models.trials.files import read_trial
-from models.trials.recordings.assembly import assemble_trial
+from models.trials.recordings.assembly import assemble_trial, time_grid
 from models.trials.recordings.frames import align_markers
 from models.trials.recordings.mapping import BASE_MARKERS, MocapFrame, RecordingMap
 from models.trials.recordings.series import Series, marker_columns
@@ -49,6 +49,20 @@ def test_goals_belong_to_samples_that_jitter(files, tmp_path):
     trial = assemble_trial(both, MAP, "take")
     sent = np.interp(trial.angle_rad[:, 0], STEP_S * rows, rows) / 100  # the angle is the time
     assert np.abs(trial.goal_rad[:, 0] - sent).max() < 0.2 * 0.01 + 1e-9  # a fifth of a step
+
+
+def test_the_phase_of_the_rows_is_that_in_which_goals_were_sent_or_sampled():
+    log_s = np.arange(0, 3, 0.001)
+    sent = np.floor((log_s - 0.0051) / STEP_S)  # logged finely
+    grid_s, in_phase = time_grid(0.0123, 2.9, STEP_S, [(log_s, sent)])
+    assert in_phase and (grid_s - 0.0051) % STEP_S == pytest.approx(0.0, abs=1e-3)
+    log_s = np.delete(STEP_S * np.arange(100), 40)  # a lost sample
+    grid_s, in_phase = time_grid(0.0, 99 * STEP_S, STEP_S, [(log_s, log_s)])
+    assert in_phase and grid_s == pytest.approx(STEP_S * np.arange(100))
+    log_s = 0.0031 + np.arange(0, 3, 0.01)  # another step
+    grid_s, in_phase = time_grid(0.0123, 2.9, STEP_S, [(log_s, np.sin(log_s))])
+    assert not in_phase and grid_s[0] == pytest.approx(0.0131)
+    assert np.diff(grid_s) == pytest.approx(STEP_S)
 
 
 def test_goals_are_held_and_never_mixed(tmp_path):
