@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from models.gap.residuals.fit_parameters import (
+    KNOWN_VALUE_FRACTION,
     candidate_effects,
+    effect_candidates,
     is_known_elsewhere,
+    nuisance_fit_parameters,
     plant_with_every_effect,
 )
 from models.gap.residuals.localisation import GapRegion, locate_gap, location_sentence
@@ -36,6 +39,22 @@ def test_a_plant_of_a_measured_system_has_every_effect_of_its_catalogue(path):
     full = plant_with_every_effect(plant)
     known = {v.name for v in full.step_model(1, "twin").parameters}
     assert all(set(full.strengths(e, 1)) <= known for e in candidate_effects(plant))
+
+
+@pytest.mark.parametrize(("dof", "strengths"), [(1, ["tilt"]), (2, ["tilt", "roll"])])
+def test_a_turn_about_a_joints_axis_is_an_effect(plant, dof, strengths):
+    """It looks like an offset of the joint's encoder, so the session's turn is small there."""
+    effect = effect_candidates(plant, "marker_frame_tilt", dof)["marker_frame_tilt"]
+    assert [q.name for q in effect] == [f"marker_frame_{n}_rad" for n in strengths]
+    turns = {
+        name: q.standard_deviation
+        for q in nuisance_fit_parameters(plant, dof)
+        for name in q.parameters if name.startswith("marker_frame_")
+    }  # fmt: skip
+    assert len(turns) == 3
+    small = {name for name, deviation in turns.items() if deviation < 0.001}
+    assert small == {q.name for q in effect}
+    assert turns["marker_frame_yaw_rad"] == pytest.approx(0.005)
 
 
 # Nuisance of a plant that was identified on other trials
@@ -68,6 +87,17 @@ def test_only_a_plant_of_other_trials_is_known(pendulum):
     assert not is_known_elsewhere(identified, TrialSet((one, other)))
     link = identified_on(read_plant(), one)
     assert not is_known_elsewhere(link, TrialSet((other,))), "a link changes from day to day"
+
+
+def test_values_of_a_known_plant_stay_within_some_per_cent(pendulum):
+    free = {q.name: q for q in nuisance_fit_parameters(pendulum, 1)}
+    known = {q.name: q for q in nuisance_fit_parameters(pendulum, 1, True)}
+    assert free.keys() == known.keys() and len(known) > 3
+    for name, q in known.items():
+        value = abs(pendulum.parameters[name].value)
+        assert q.standard_deviation == pytest.approx(KNOWN_VALUE_FRACTION * value)
+        assert q.standard_deviation < free[name].standard_deviation
+        assert (q.low, q.high) == (free[name].low, free[name].high)
 
 
 # Blocks of time of a single trial

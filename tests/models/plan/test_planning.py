@@ -28,6 +28,17 @@ LIMITS = Limits(rate_rad_s=1.0)
 MOVE_LIMITS = Limits(rate_rad_s=1.0, acceleration_rad_s2=20.0)
 
 
+def test_the_derivatives_are_those_of_the_run(twin):
+    at_s = PERIOD_S * np.arange(90)
+    basis = np.exp(-(((at_s[:, None] - np.array([0.5, 1.0])) / 0.15) ** 2))
+    goals = 0.2 * basis[:, :1]
+    slopes = twin.slopes(goals, basis, 1.0)
+    for k in range(2):
+        step = 1e-5 * basis[:, k : k + 1]
+        both = [twin.run(goals + sign * step, 1.0).tip_m for sign in (1, -1)]
+        assert slopes[:, :, k] == pytest.approx((both[0] - both[1]) / 2e-5, abs=2e-4)
+
+
 def test_a_plan_leads_the_tip_of_the_twin_along_the_path(twin, planned):
     for one, table in zip(planned.payloads, planned.goals_rad(), strict=True):
         tip = twin.run(table, one.payload_kg).tip_m
