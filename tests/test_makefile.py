@@ -43,16 +43,9 @@ def test_trials_and_runs_of_the_workflow_hide_the_effects_and_nothing_else_does(
         c for c in commands if re.search(r"dropstitch (gap|train|identify|fmu )|sil_without", c)
     ]
     assert len(blind) > 10
-    assert not any("--hide" in c for c in [*blind, *planned("demo")])
+    assert not any("--hide" in c for c in [*blind, *planned("build/report.html")])
     (report,) = [c for c in commands if "report gap" in c]
     assert "--out build/gap_demo/dead_time_0.03+creep_0.2/report.html" in report
-
-
-@pytest.mark.parametrize("report", ["build/report.html", "build/study/report.html"])
-def test_demo_and_study_hide_nothing(report):
-    commands = planned(report)
-    assert len(commands) > 10
-    assert not any("--hide" in c for c in commands)
 
 
 @pytest.mark.parametrize(("stages", "report"), [

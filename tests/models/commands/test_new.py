@@ -99,9 +99,3 @@ def test_an_interrupt_writes_nothing_and_gives_one_sentence(start, tmp_path, key
     lines = [line for line in child.before.splitlines() if line.strip("^CD\b ")]
     assert child.exitstatus == code and len(lines) == 1 and sentence in lines[0]
     assert list(tmp_path.iterdir()) == []
-
-
-def test_with_options_nothing_is_asked(start, tmp_path):
-    code, shown = end(start("--length", "0.6"))
-    assert code == 0 and "]:" not in shown
-    assert read_link(tmp_path / "link.toml").width_m == 0.15

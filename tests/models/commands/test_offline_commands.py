@@ -137,37 +137,31 @@ def test_the_linear_model_is_a_system_of_python_control(tmp_path, capsys):
     assert "damping" in text and "gain margin" in text
 
 
-@pytest.mark.parametrize(
-    ("options", "remedy"),
-    [(["--payload-kg", "9"], "give 0 to 3 kg"), (["--angle-deg", "1", "2"], "give 1"),
-     (["--period", "0"], "0.001 to 1 s"), (["--angle-deg", "nan"], "give 90° at most")],
-)  # fmt: skip
-def test_a_linear_model_out_of_range_is_refused(tmp_path, capsys, options, remedy):
-    assert run("linearise", "--plant", NOMINAL, "--out", tmp_path / "x", *options) == 2
-    assert remedy in capsys.readouterr().err
-
-
 # --- plan and goalmap -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("path", "options", "wrong"),
+    ("words", "wrong"),
     [
-        ("line", ["--zvd"], "--zvd"),
-        ("point_to_point", ["--rigid", "--zvd"], "--zvd"),
-        ("line", ["--fastest"], "--fastest"),
-        ("point_to_point", ["--fastest", "--move", "1"], "--move"),
-        ("a.CSV", ["--size", "0.1"], "--size"),
-        ("line", ["--probe", "--open-loop"], "--probe"),
-        ("a.CSV", ["--out", "a.svg"], "a.svg"),
+        (["plan", "line", "--zvd"], "--zvd"),
+        (["plan", "point_to_point", "--rigid", "--zvd"], "--zvd"),
+        (["plan", "line", "--fastest"], "--fastest"),
+        (["plan", "point_to_point", "--fastest", "--move", "1"], "--move"),
+        (["plan", "a.CSV", "--size", "0.1"], "--size"),
+        (["plan", "line", "--probe", "--open-loop"], "--probe"),
+        (["plan", "a.CSV", "--out", "a.svg"], "a.svg"),
+        (["linearise", "--payload-kg", "9"], "give 0 to 3 kg"),
+        (["linearise", "--angle-deg", "1", "2"], "give 1"),
+        (["linearise", "--period", "0"], "0.001 to 1 s"),
+        (["linearise", "--angle-deg", "nan"], "give 90° at most"),
     ],
 )
-def test_contradictory_options_of_a_plan_are_refused(
-    bare_bundle, tmp_path, capsys, path, options, wrong
+def test_options_out_of_range_and_contradictory_ones_are_refused(
+    bare_bundle, tmp_path, capsys, words, wrong
 ):
-    out = tmp_path / "plan.json"
-    words = ["plan", path, "--plant", NOMINAL, "--bundle", bare_bundle, "--out", out, *options]
-    assert run(*words) == 2
+    bundle = ["--bundle", bare_bundle] if words[0] == "plan" else []
+    out = ["--out", tmp_path / "out.json"] if "--out" not in words else []
+    assert run(*words, "--plant", NOMINAL, *bundle, *out) == 2
     assert wrong in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
@@ -246,14 +240,19 @@ def test_right_trials_pass_with_a_page_each(validate, tmp_path):
     assert (tmp_path / "pages" / "take2.html").read_text().count("<svg") >= 4
 
 
-def test_a_wrong_trial_is_refused_by_its_cause(validate):
-    code, verdict = validate(dict, lambda c: {"angle_2_rad": -c["angle_2_rad"]})
-    assert (code, verdict["verdict"]) == (1, "refused")
-    assert verdict["trials"]["take1"]["verdict"] == "passed"
-    assert verdict["trials"]["take2"]["findings"][0]["cause"] == "sign"
-
-
-def test_a_single_trial_leaves_nothing_to_test_on(validate):
-    code, verdict = validate(dict)
-    assert (code, verdict["verdict"]) == (0, "warned")
-    assert verdict["findings"][0]["cause"] == "held out"
+@pytest.mark.parametrize(
+    ("changes", "code", "verdict", "cause"),
+    [
+        ((dict, lambda c: {"angle_2_rad": -c["angle_2_rad"]}), 1, "refused", "sign"),
+        ((dict,), 0, "warned", "held out"),  # nothing to test on
+    ],
+    ids=["wrong sign", "single trial"],
+)
+def test_other_trials_are_refused_or_warned_of_with_the_cause(
+    validate, changes, code, verdict, cause
+):
+    exit_code, result = validate(*changes)
+    assert (exit_code, result["verdict"]) == (code, verdict)
+    assert result["trials"]["take1"]["verdict"] == "passed"
+    last = result["trials"].get("take2", result)
+    assert last["findings"][0]["cause"] == cause

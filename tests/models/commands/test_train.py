@@ -4,21 +4,16 @@ import json
 import shutil
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
-from models.bundle.train import name_tests, of_phases, refuse_fitted
-from models.plant.document import FittedTrial, Provenance
+from models.bundle.train import name_tests, of_phases
 from models.study.document import read_study
 from models.trials.files import write_trial
 from models.trials.trial import TrialSet
-
-
-def changed(original, **changes):
-    return replace(original, meta=msgspec.structs.replace(original.meta, **changes))
+from tests.models.made_trials import with_conditions
 
 
 def train(trials, out, *options, dof="1", plant="models/plant/nominal.toml"):
@@ -29,9 +24,11 @@ def train(trials, out, *options, dof="1", plant="models/plant/nominal.toml"):
 
 def test_tests_are_named_by_what_they_are(toy_trials):
     training, held_out = toy_trials(1).split()
-    multisine = changed(held_out[0], motion="multisine", amplitude_rad=0.35)
-    third = changed(training[0], trial=3)
-    ahead = changed(held_out[0], amplitude_rad=training[0].meta.amplitude_rad, phase_2_rad=0.7854)
+    multisine = with_conditions(held_out[0], motion="multisine", amplitude_rad=0.35)
+    third = with_conditions(training[0], trial=3)
+    ahead = with_conditions(
+        held_out[0], amplitude_rad=training[0].meta.amplitude_rad, phase_2_rad=0.7854
+    )
     named = name_tests(training, (*held_out, multisine, third, ahead))
     assert list(named) == [
         "trial_2", "trial_3", "unseen_20deg", "unseen_multisine_20deg", "unseen_phase_45deg_30deg",
@@ -40,26 +37,13 @@ def test_tests_are_named_by_what_they_are(toy_trials):
 
 def test_phases_are_chosen_among_2dof_trials_only(toy_trials):
     one, two = toy_trials(1), toy_trials(2)
-    ahead = changed(two[0], phase_2_rad=np.pi / 2)
+    ahead = with_conditions(two[0], phase_2_rad=np.pi / 2)
     trials = TrialSet((*one, *two, ahead))
     assert of_phases(trials, [], "DIR").trials == trials.trials
     assert of_phases(trials, [90.0], "DIR").trials == (*one, ahead)
     assert of_phases(trials, [0.0, 90.0], "DIR").trials == trials.trials
     with pytest.raises(InputError, match=r"45 degrees.*--phase-deg 45"):
         of_phases(trials, [0.0, 45.0], "DIR")
-
-
-def test_an_unseen_trial_that_the_plant_was_fitted_to_is_refused(toy_trials):
-    training, held_out = toy_trials(1).split()
-    tests = name_tests(training, tuple(held_out))
-
-    def fitted_to(trial):
-        return Provenance(fitted_trials=(FittedTrial("another name", trial.sha256(), "rig"),))
-
-    unseen = tests["unseen_20deg"][0]
-    refuse_fitted(fitted_to(training[0]), "plant.json", tests)
-    with pytest.raises(InputError, match=unseen.name):
-        refuse_fitted(fitted_to(unseen), "plant.json", tests)
 
 
 def mirrored(trial):
@@ -109,9 +93,9 @@ def test_a_place_for_no_bundle_is_refused_before_the_trials_are_read(
 def test_several_pressures_and_one_recording_are_warned_of(toy_trials, tmp_path, capsys):
     size = {"link_length_m": 0.95, "link_width_m": 0.15, "base_offset_m": 0.06}
     for trial in toy_trials(1, amplitudes_deg=(30,)):
-        trial = changed(trial, **size)
+        trial = with_conditions(trial, **size)
         if trial.meta.payload_kg == 2.0:
-            trial = changed(trial, pressure_pa=20e3, recording_sha256="a" * 64)
+            trial = with_conditions(trial, pressure_pa=20e3, recording_sha256="a" * 64)
         write_trial(trial, tmp_path / "trials")
     assert train(tmp_path / "trials", tmp_path / "out", "--study-only", "--json") == 0
     output = capsys.readouterr()
@@ -126,7 +110,7 @@ def test_several_pressures_and_one_recording_are_warned_of(toy_trials, tmp_path,
 def test_another_link_than_the_papers_is_not_compared_with_its_findings(toy_trials, tmp_path):
     size = {"link_length_m": 0.9, "link_width_m": 0.15, "base_offset_m": 0.06}
     for trial in toy_trials(1, amplitudes_deg=(30,)):
-        write_trial(changed(trial, **size), tmp_path / "trials")
+        write_trial(with_conditions(trial, **size), tmp_path / "trials")
     link = tmp_path / "link.toml"
     assert main(["new", str(link), "--length", "0.9", "--largest-payload-kg", "2"]) == 0
     assert train(tmp_path / "trials", tmp_path / "out", "--study", plant=link) == 0

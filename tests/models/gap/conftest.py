@@ -122,6 +122,13 @@ def diagnosed():
     return run
 
 
+def assert_no_worse_held_out(diagnosis):
+    """The written plant errs by no more than 5 % more on held-out trials, in every signal."""
+    errors = diagnosis.written.errors.rms()
+    assert errors.keys() == diagnosis.held_out_baseline.keys()
+    assert all(errors[s] <= 1.05 * rms for s, rms in diagnosis.held_out_baseline.items())
+
+
 @pytest.fixture(scope="session")
 def late(plant, hidden, diagnosed):
     """Diagnosis of 20 ms of dead time."""

@@ -21,6 +21,7 @@ from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial, TrialMeta, TrialSet
+from tests.models.gap.conftest import assert_no_worse_held_out
 
 
 @pytest.mark.parametrize(
@@ -70,27 +71,24 @@ def set_fit(candidates, separation):
     return SetFit(candidates, None, np.zeros(1, dtype=bool), separation**2 / 2)
 
 
-def alike(name, **separations):
-    return [f.candidates[0] for f in look_alikes_of(naming((name,), **separations))[name]]
-
-
 def probabilities(named, answers=CATALOGUE, **separations):
     return {h.effects: h.probability for h in hypotheses_of(naming(named, answers, **separations))}
 
 
-def test_a_candidate_far_ahead_has_no_look_alike():
-    assert alike("creep", creep=40.0, hysteresis=15.0, backlash=5.0) == []
-
-
-@pytest.mark.parametrize("separation", [8.0, 150.0])
-def test_equal_candidates_are_look_alikes_at_any_size(separation):
-    assert alike("prebend", prebend=separation, encoder_offset=separation) == ["encoder_offset"]
-
-
-def test_the_same_difference_of_squares_counts_less_beside_a_larger_gap():
-    small, large = np.hypot(10.0, 6.0), np.hypot(40.0, 6.0)
-    assert alike("creep", creep=small, hysteresis=10.0) == []
-    assert alike("creep", creep=large, hysteresis=40.0) == ["hysteresis"]
+@pytest.mark.parametrize(
+    ("separations", "alike"),
+    [
+        ((40.0, 15.0), ()),
+        ((8.0, 8.0), ("hysteresis",)),
+        # The same difference of squares counts less beside a larger gap.
+        ((np.hypot(10.0, 6.0), 10.0), ()),
+        ((np.hypot(40.0, 6.0), 40.0), ("hysteresis",)),
+    ],
+)
+def test_a_candidate_that_fits_nearly_as_well_is_a_look_alike(separations, alike):
+    sets = dict(zip(("creep", "hysteresis"), separations, strict=True))
+    rows = look_alikes_of(naming(("creep",), **sets))["creep"]
+    assert tuple(f.candidates[0] for f in rows) == alike
 
 
 def test_a_look_alike_stands_beside_the_same_other_names():
@@ -215,12 +213,6 @@ def diagnosis(pendulum, diagnosed):
         return diagnosed(bounded, swings(pendulum, frictions_nm), ("coulomb_friction",))
 
     return run
-
-
-def assert_no_worse_held_out(result):
-    errors = result.written.errors.rms()
-    assert errors.keys() == result.held_out_baseline.keys()
-    assert all(errors[s] <= 1.05 * rms for s, rms in result.held_out_baseline.items())
 
 
 def test_an_effect_that_all_payloads_show_is_named_and_lowers_the_held_out_error(diagnosis):

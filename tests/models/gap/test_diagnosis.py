@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -18,6 +17,8 @@ from models.plant.identification.evaluation import compare_with_trials
 from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import read_plant
 from models.trials.trial import TrialSet
+from tests.models.gap.conftest import assert_no_worse_held_out
+from tests.models.made_trials import with_columns, with_conditions
 
 FEW = ("backlash", "creep", "viscous_friction", "unmodelled_payload")
 GAINS = ("dead_time", "position_gain_change", "sync_offset", "viscous_friction")
@@ -34,6 +35,8 @@ def test_without_a_hidden_effect_nothing_is_named(nothing):
     assert nothing.verdict == "no gap" and nothing.named == ()
     assert nothing.improved.parameters == nothing.plant.parameters
     assert "current_saturation" in nothing.naming.search.unexcited, "no trial reaches the limit"
+    assert not nothing.floor.amplification_power, "repetitions differ as expected"
+    assert_no_worse_held_out(nothing)
 
 
 def test_a_link_whose_parameters_the_fit_moves_counts_as_another_one(nothing):
@@ -52,6 +55,7 @@ def test_a_dead_time_is_named_with_its_value_and_added(late):
     assert abs(q.value - 0.02) < max(4 * q.error, 5e-4)
     assert late.improved.provenance.parent_sha256 == late.plant.sha256()
     assert "dead_time" in late.improved.effects
+    assert_no_worse_held_out(late)
 
 
 def test_the_improved_plant_is_read_and_simulates_the_trials(late, tmp_path):
@@ -95,17 +99,6 @@ def test_probabilities_add_up_and_hypotheses_share_them(late, nothing):
         assert shares == pytest.approx(answers.nothing + answers.catalogue, abs=0.02)
 
 
-def assert_no_worse_held_out(diagnosis):
-    errors = diagnosis.written.errors.rms()
-    assert errors.keys() == diagnosis.held_out_baseline.keys()
-    assert all(errors[s] <= 1.05 * rms for s, rms in diagnosis.held_out_baseline.items())
-
-
-def test_the_written_plant_is_no_worse_on_held_out_trials(late, nothing):
-    assert_no_worse_held_out(late)
-    assert_no_worse_held_out(nothing)
-
-
 def test_unusable_arguments_are_refused(plant, hidden, make_trial):
     with pytest.raises(InputError, match=r"--without friction: .*choose from"):
         diagnose(plant, hidden(), leave_out=["friction"])
@@ -115,9 +108,8 @@ def test_unusable_arguments_are_refused(plant, hidden, make_trial):
     first, *others = hidden()
     with pytest.raises(InputError, match="is a copy of"):
         diagnose(plant, [first, replace(first, name="again"), *others])
-    wider = msgspec.structs.replace(first.meta, link_width_m=0.3)
     with pytest.raises(InputError, match=r"link_width_m is 0\.3 m, in the plant"):
-        diagnose(plant, [replace(first, meta=wider)])
+        diagnose(plant, [with_conditions(first, link_width_m=0.3)])
 
 
 @pytest.mark.slow
@@ -279,12 +271,12 @@ def bumped(trial):
     push[150:170] = np.hanning(20)
     sizes = {"angle_1_rad": 0.02, "current_1_a": 4.0, "tip_x_m": 0.1}
     pushed = {name: trial.columns[name] + size * push for name, size in sizes.items()}
-    return replace(trial, columns=trial.columns | pushed)
+    return with_columns(trial, **pushed)
 
 
 def mislabelled(trial):
     """A trial with 1 kg whose description states none."""
-    return replace(trial, meta=msgspec.structs.replace(trial.meta, payload_kg=0.0, trial=3))
+    return with_conditions(trial, payload_kg=0.0, trial=3)
 
 
 @pytest.mark.slow
@@ -322,7 +314,7 @@ def test_scatter_of_repetitions_raises_the_floor_at_that_payload(plant, hidden, 
             name: trial.columns[name] + trial.meta.payload_kg * size_m * sway
             for name in ("tip_x_m", "tip_z_m")
         }
-        trials.append(replace(trial, columns=trial.columns | moved))
+        trials.append(with_columns(trial, **moved))
     diagnosis = diagnosed(plant, TrialSet(tuple(trials)), FEW)
     assert set(diagnosis.floor.amplification_power) == {1.0}
     assert (diagnosis.named, diagnosis.verdict) == ((), "no gap")
@@ -339,13 +331,6 @@ def two_joints(trials_of):
     nominal = read_plant()
     one, two = (trials_of(nominal, 1, dof=dof).trials for dof in (1, 2))
     return with_noise_floor(nominal, [*one, *two])
-
-
-def test_each_number_of_joints_has_a_floor(two_joints):
-    floors = two_joints.provenance.noise_floor
-    assert set(floors) == {"1", "2"}
-    assert "angle_2_rad" in floors["2"].noise and "angle_2_rad" not in floors["1"].noise
-    assert not two_joints.for_robot().provenance.noise_floor
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The noise floor, its transfer to other trials, and the Gauss-Newton fit against it."""
+"""The noise floor of an estimate, its transfer to other trials, and derivatives along a step."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -173,9 +173,8 @@ def noise_power(floor, payload_kg, hz=HZ):
     return float(np.mean(noise * floor.ratios.noise_at("x", payload_kg, hz)))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_noise_is_the_mean_of_both_estimates_where_each_has_two_trials(repeated, seed):
-    rng = np.random.default_rng(seed)
+def test_noise_is_the_mean_of_both_estimates_where_each_has_two_trials(repeated):
+    rng = np.random.default_rng(0)
     floor, residuals = floor_and_residuals(rng, repeated)
     rows = residual_rows(rng, repeated, DEVIATION)
     pooled = with_repeated_trials(floor, residuals, [rows])
@@ -202,9 +201,8 @@ def test_a_floor_is_not_pooled_with_single_trials_or_with_its_own(repeated):
     assert with_repeated_trials(floor, residuals, rows) is floor
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_floor_grows_at_the_payload_whose_repetitions_scatter(repeated, seed):
-    rng = np.random.default_rng(seed)
+def test_the_floor_grows_at_the_payload_whose_repetitions_scatter(repeated):
+    rng = np.random.default_rng(0)
     floor, residuals = floor_and_residuals(rng, repeated)
     rows = residual_rows(rng, repeated, DEVIATION)
     grown = with_amplified_scatter(floor, residuals, [rows])
@@ -217,33 +215,9 @@ def test_the_floor_grows_at_the_payload_whose_repetitions_scatter(repeated, seed
     assert after == pytest.approx(before, rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.parametrize("used", [(0, 1, 2, 3), (0, 2)], ids=["repeated", "single"])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_floor_stays_where_repetitions_differ_as_expected(repeated, seed, used):
-    rng = np.random.default_rng(seed)
-    floor, residuals = floor_and_residuals(rng, repeated, used)
-    rows = residual_rows(rng, residuals.trials, AS_EXPECTED)
-    assert not with_amplified_scatter(floor, residuals, [rows]).amplification_power
-
-
 # Transfer of the plant's own error to other payloads, and to other trials of the same motion
 
 REACH_KG = 1.0
-
-
-@pytest.mark.parametrize("measured_kg", [[1.0], [0.0, 0.5, 1.0, 1.5, 2.0]])
-def test_nothing_is_unknown_at_a_measured_payload(measured_kg):
-    weights = transfer_weights(measured_kg, measured_kg, REACH_KG)
-    assert weights == pytest.approx(np.eye(len(measured_kg)), abs=1e-12)
-    unknown = unknown_fraction(measured_kg, measured_kg, REACH_KG)
-    assert unknown == pytest.approx(np.zeros_like(weights), abs=1e-12)
-
-
-def test_more_is_unknown_farther_away_and_never_more_than_all():
-    at_kg = np.linspace(1.0, 6.0, 11)
-    unknown = np.diag(unknown_fraction(at_kg, [0.0, 1.0], REACH_KG))
-    assert np.all(np.diff(unknown) > 0) and unknown[-1] < 1.0
-    assert unknown == pytest.approx(1 - np.exp(-2 * (at_kg - 1.0) / REACH_KG))
 
 
 def test_expected_and_unknown_error_are_those_of_drawn_errors():
@@ -319,42 +293,11 @@ def test_the_floor_expects_the_error_of_a_trial_with_fewer_rows(trial_of):
     assert (floor.whitener(group, [new]) > 1.5 * blind.whitener(group, [new])).all()
 
 
-# Gauss-Newton
-
-
-@pytest.fixture(scope="module")
-def estimator(plant, hidden):
+def test_derivatives_follow_a_step(plant, hidden):
     trials = hidden(dead_time_1_s=0.02).trials
     residuals = Residuals(plant, trials, all_fit_parameters(plant, trials, ["dead_time"]))
-    return GaussNewton(residuals, noise_floor_for(residuals))
-
-
-@pytest.fixture
-def start(estimator):
-    return estimator.at(np.zeros(len(estimator.low)))
-
-
-def test_derivatives_by_a_part_are_the_columns_of_all_of_them(estimator, start):
-    whole = estimator.linearise(estimator.at(start.values))
-    wanted = np.arange(len(start.values)) % 3 == 0
-    part = estimator.linearise(start, wanted)
-    assert part.has_derivatives(wanted) and not part.has_derivatives(~wanted)
-    for some, every in zip(part.slopes, whole.slopes, strict=True):
-        np.testing.assert_allclose(some[:, wanted], every[:, wanted], rtol=0, atol=1e-9)
-        assert not some[:, ~wanted].any()
-    step, fall = estimator.step(part, wanted)
-    np.testing.assert_allclose(step, estimator.step(whole, wanted)[0], rtol=1e-6, atol=1e-12)
-    assert fall > 0
-    estimator.step(part, np.ones_like(wanted))
-    assert part.derived.all(), "a step computes the derivatives that it lacks"
-
-
-def test_a_fit_with_nothing_free_ends_where_it_starts(estimator, start):
-    end = estimator.fit(start, np.zeros(len(start.values), dtype=bool))
-    assert end.cost == start.cost and not end.values.any()
-
-
-def test_derivatives_follow_a_step(estimator, start):
+    estimator = GaussNewton(residuals, noise_floor_for(residuals))
+    start = estimator.at(np.zeros(len(estimator.low)))
     free = np.arange(len(start.values)) < 4
     start = estimator.linearise(start, free)
     step, _ = estimator.step(start, free)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from msgspec import inspect
 
 from dropstitch.__main__ import main
+from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion, MotionConfig
 from firmware_py.safety.limits import Limits
@@ -23,7 +23,7 @@ from models.gap.experiment.experiment import (
 from models.gap.experiment.rival import Rival, credible_set, fitted_values_of, rivals_of
 from models.gap.experiment.separation import SeparationModel
 from models.gap.fixed_motions import planned_trial
-from models.gap.report.gap_json import GapDocument, HypothesisRecord
+from models.gap.report.gap_json import DiagnosisInputs, HypothesisRecord
 from models.gap.residuals.fit_parameters import effect_candidates
 from models.gap.residuals.residuals import Residuals
 from models.gap.settings import DEFAULT_SETTINGS
@@ -34,6 +34,8 @@ from models.rig.drawn import rig_named
 from models.rig.protocol import TrialCase, run_case
 from models.trials.files import write_trial
 from models.trials.trial import TrialSet
+from tests.models.gap.made_documents import document
+from tests.models.made_trials import with_columns
 
 # Rival hypotheses
 
@@ -120,7 +122,7 @@ def experiment(plant, recorded):
 def as_measured(plant, trial):
     compiled = CompiledModel(plant.step_model(1, "twin"))
     columns = dict(zip(names(compiled.model.outputs), run_trial(compiled, trial).T, strict=True))
-    return replace(trial, columns=trial.columns | columns)
+    return with_columns(trial, **columns)
 
 
 def refitted(plant, trials, fit_parameters, floor):
@@ -216,28 +218,10 @@ def test_what_nothing_can_be_ranked_for_is_refused(
 
 # The command
 
-HYPOTHESES = [
-    {"effects": ["dead_time"], "probability": 0.6, "parameters": {"dead_time_1_s": 0.02}},
-    {"effects": ["sync_offset"], "probability": 0.4, "parameters": {"sync_offset_s": -0.02}},
-]
-
-
-def smallest(kind):
-    """Least content of a type: required fields alone, nothing in a container."""
-    match kind:
-        case inspect.StructType():
-            return {f.name: smallest(f.type) for f in kind.fields if f.required}
-        case inspect.LiteralType():
-            return kind.values[0]
-        case inspect.DictType():
-            return {}
-        case inspect.VarTupleType():
-            return []
-        case inspect.StrType():
-            return ""
-        case inspect.BoolType():
-            return False
-    return 0
+HYPOTHESES = (
+    HypothesisRecord(("dead_time",), 0.6, {"dead_time_1_s": 0.02}),
+    HypothesisRecord(("sync_offset",), 0.4, {"sync_offset_s": -0.02}),
+)
 
 
 @pytest.fixture(scope="module")
@@ -254,15 +238,9 @@ def diagnosis(rig_trial, tmp_path):
         write_trial(rig_trial, directory)
         plant = tmp_path / "plant.toml"
         read_plant().write(plant)
-        document = smallest(inspect.type_info(GapDocument)) | {
-            "schema": GapDocument.VERSION,
-            "hypotheses": HYPOTHESES,
-            "inputs": {
-                "plant": str(plant), "plant_sha256": plant_sha256, "trials": [str(directory)],
-                "trials_sha256": trials_sha256, "dof": 1,
-            },
-        }  # fmt: skip
-        (tmp_path / "gap.json").write_text(json.dumps(document))
+        inputs = DiagnosisInputs(str(plant), plant_sha256, (str(directory),), trials_sha256, 1)
+        diagnosed = document(hypotheses=HYPOTHESES, inputs=inputs)
+        write_document(tmp_path / "gap.json", diagnosed)
         return tmp_path / "gap.json"
 
     return write
@@ -305,32 +283,24 @@ def test_wrong_options_are_refused(tmp_path, capsys, options, sentence):
     assert not (tmp_path / "motion.toml").exists()
 
 
-@pytest.mark.parametrize(
-    ("changed", "sentence"),
-    [
-        ("trials_sha256", "are not the trials of this diagnosis"),
-        ("plant_sha256", "is not the plant of this diagnosis"),
-    ],
-)
-def test_inputs_that_were_changed_are_refused(diagnosis, tmp_path, capsys, changed, sentence):
-    gap = diagnosis(tmp_path / "trials", **{changed: "0" * 64})
-    assert run_command(gap, tmp_path / "motion.toml") == 2
-    assert sentence in capsys.readouterr().err
+CHANGED = "0" * 64
 
 
 @pytest.mark.parametrize(
-    ("out", "options", "sentence"),
+    ("hashes", "out", "options", "sentence"),
     [
-        ("gap.json", [], "no TOML file"),
-        ("m.toml", ["--repeat"], "trials: is not empty; remove it, or name another --out"),
-        ("plant.toml", ["--repeat"], "is a file that is read; name another file"),
-        ("m/trials/TRIAL.toml", ["--repeat"], "is a file that is read; name another file"),
+        ({"trials_sha256": CHANGED}, "m.toml", [], "are not the trials of this diagnosis"),
+        ({"plant_sha256": CHANGED}, "m.toml", [], "is not the plant of this diagnosis"),
+        ({}, "gap.json", [], "no TOML file"),
+        ({}, "m.toml", ["--repeat"], "trials: is not empty; remove it, or name another --out"),
+        ({}, "plant.toml", ["--repeat"], "is a file that is read; name another file"),
+        ({}, "m/trials/TRIAL.toml", ["--repeat"], "is a file that is read; name another file"),
     ],
 )
-def test_nothing_of_the_diagnosis_is_overwritten(
-    diagnosis, rig_trial, tmp_path, capsys, out, options, sentence
+def test_changed_inputs_are_refused_and_nothing_of_the_diagnosis_is_overwritten(
+    diagnosis, rig_trial, tmp_path, capsys, hashes, out, options, sentence
 ):
-    gap = diagnosis(tmp_path / "m" / "trials")
+    gap = diagnosis(tmp_path / "m" / "trials", **hashes)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     assert run_command(gap, tmp_path / out.replace("TRIAL", rig_trial.name), *options) == 2
     error = capsys.readouterr().err

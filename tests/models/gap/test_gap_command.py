@@ -126,15 +126,6 @@ def test_the_low_pass_of_a_flexible_links_strain_gauge_is_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_every_record_of_the_flexible_link_has_a_motion_of_its_own(tmp_path):
-    files = sorted(real_recordings("quanser").glob("lqg_step_*.mat"))
-    trials = imported(files, "flexible_link", tmp_path / "all", 0.016)
-    signals = read_plant(EXAMPLES / "flexible_link.toml").signals
-    motions = {t.meta.motion for t in read_trials(trials, signals)}
-    assert len(motions) == len(files) == 8
-
-
-@pytest.mark.slow
 def test_load_dependent_friction_is_added_to_the_pendulum_and_lowers_its_error(tmp_path):
     """41.9 of 58.8 mrad on all logs by its description; the limit here is for two logs."""
     used = imported(pendulum_logs((100, 400)), "xl330_pendulum", tmp_path / "used")

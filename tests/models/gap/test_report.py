@@ -9,43 +9,15 @@ from markupsafe import escape
 from msgspec.structs import replace
 
 from firmware_py.core.errors import InputError
-from models.gap.decision.certainty import Answers
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.transfer import motion_of
 from models.gap.outliers import OutlierTrial
+from models.gap.report import gap_json as gap
 from models.gap.report import separating_motion as separating_motion_module
 from models.gap.report.diagnosis_files import write_results
-from models.gap.report.effect_checks import (
-    EFFECT_CHECKS,
-    GENERAL_CHECK,
-    MOST_CHECKS,
-    effects_to_check,
-)
-from models.gap.report.gap_json import (
-    ChangedCondition,
-    DiagnosisInputs,
-    FittedValue,
-    GapDocument,
-    HeldOutSummary,
-    MappedRegion,
-    NamedEffect,
-    NamingEvidence,
-    NoiseFloorSummary,
-    RefusedEffects,
-    RemainingGap,
-    SeparatingMotion,
-    SignalFloor,
-    SignalGap,
-    SimilarEffects,
-    WrittenPlant,
-    largest_gaps,
-    read_gap_document,
-)
+from models.gap.report.effect_checks import GENERAL_CHECK, MOST_CHECKS, effects_to_check
 from models.gap.report.gap_words import (
     amount,
-    gap_in_words,
     headline,
-    look_alikes_in_words,
     most_improved_signal,
     next_step_in_words,
     strength_of,
@@ -53,12 +25,9 @@ from models.gap.report.gap_words import (
 from models.gap.report.localisation_maps import localisation_maps
 from models.gap.report.separating_motion import NO_MOTION, separating_motion
 from models.gap.report.trial_notes import changed_conditions, notes_in_words
-from models.gap.residuals.localisation import motion_in_words
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.document import FittedTrial, Provenance
-from models.plant.identification.noise_floor import trial_group_key
-from models.shared.catalogue import EVERY_EFFECT
-from models.trials.trial import Trial, TrialMeta
+from tests.models.gap.made_documents import document, effect
 
 # The files of a diagnosis
 
@@ -72,7 +41,7 @@ CONTRACT = {
 def written(late, tmp_path_factory):
     """Document and directory of a diagnosis."""
     out = tmp_path_factory.mktemp("gap")
-    document, _ = write_results(late, DiagnosisInputs("plant.json", "12", ("trials",)), out)
+    document, _ = write_results(late, gap.DiagnosisInputs("plant.json", "12", ("trials",)), out)
     return document, out
 
 
@@ -100,13 +69,13 @@ def test_every_considered_effect_is_named_or_rejected(written, late):
 
 def test_the_document_is_read_as_it_was_written_and_an_older_one_is_refused(written, tmp_path):
     document, out = written
-    assert read_gap_document(out / "gap.json") == document
+    assert gap.read_gap_document(out / "gap.json") == document
     assert document.settings == DEFAULT_SETTINGS
     path = tmp_path / "gap.json"
     data = json.loads((out / "gap.json").read_text())
     path.write_text(json.dumps(data | {"schema": 2, "strained": {}}))
     with pytest.raises(InputError, match=r"gap\.json: has schema version 2.*dropstitch gap"):
-        read_gap_document(path)
+        gap.read_gap_document(path)
 
 
 def test_console_and_page_begin_with_the_same_sentence(written, late):
@@ -128,62 +97,6 @@ def test_the_signals_are_drawn_for_a_notebook(late):
 
 # Documents without a diagnosis
 
-TIP, ANGLE = "tip_x_m", "angle_1_rad"
-
-
-def effect(name, joint=None, look_alikes=(), parameters=None, **others):
-    values = parameters or {f"{name}_1_x": FittedValue(0.03, "s", 0.001, 0.0)}
-    return NamedEffect(
-        effect=name, joint=joint, parameters=values,
-        evidence=NamingEvidence(40.0, 25.0, 0.05, 1.1, 0.2),
-        look_alikes=tuple(SimilarEffects((e,), 38.0) for e in look_alikes), **others,
-    )  # fmt: skip
-
-
-def errors(tip_m, angle_rad):
-    """Errors by signal; the floor is 1 mm and 1 mrad."""
-    signals = {
-        TIP: SignalGap(tip_m, "m", tip_m / 1e-3),
-        ANGLE: SignalGap(angle_rad, "rad", angle_rad / 1e-3),
-    }
-    return {"held_out": signals}
-
-
-def document(verdict="no gap", *rows, answers=(0.0, 0.98, 0.02), learned=True, **changes):
-    names = tuple(row.candidate for row in rows)
-    parameters = {"dead_time_1_s": FittedValue(0.03, "s", 0.001, 0.0)} if rows else {}
-    plain = {
-        "probabilities": Answers(*answers) if answers else None,
-        "gap_left_fraction": 0.2,
-        "separation_of_nothing": 25.0,
-        "effect_probabilities": dict.fromkeys(names, 0.97),
-        "rejected": (),
-        "written": WrittenPlant(names, parameters),
-        "sentence": "With link and set-up refitted, the tip (x) differs most.",
-        "located": (),
-        "map": tuple(
-            MappedRegion(signal, "trial", name, size, 0.0, 0.0, True)
-            for signal, size in ((ANGLE, 9.0), (TIP, 3.0))
-            for name in ("one", "two")
-        ),
-        "remaining": RemainingGap("", ()),
-        "noise_floor": NoiseFloorSummary(
-            learned, {s: SignalFloor(1e-3, 0.0, 1e-3) for s in (TIP, ANGLE)}
-        ),
-        "before": errors(4.41e-3, 12.1e-3),
-        "after": errors(4.44e-3, 3.3e-3),
-        "held_out": HeldOutSummary(("payloads",), 0.4),
-        "settings": DEFAULT_SETTINGS,
-    }
-    return GapDocument(schema=GapDocument.VERSION, verdict=verdict, named=rows, **plain | changes)
-
-
-def test_the_headline_has_name_value_probability_and_the_signal_that_shows_it():
-    words = headline(document("closed", effect("dead_time")))
-    assert words.startswith("Missing: dead time 30 ± 1 ms (") and "97%" in words
-    assert words.endswith("angle of joint 1 falls from 12.1 to 3.3\u00a0mrad.")
-    assert "tip" not in words
-
 
 def test_no_signal_is_praised_whose_error_does_not_fall_or_whose_plant_is_not_written():
     worse = document("closed", effect("dead_time"))
@@ -191,8 +104,8 @@ def test_no_signal_is_praised_whose_error_does_not_fall_or_whose_plant_is_not_wr
     assert most_improved_signal(worse) is None and "falls" not in headline(worse)
     reason = "the held-out error of tip_x_m would be 108% of that as given"
     refused = document(
-        "closed", effect("dead_time"), written=WrittenPlant((), {}, reason),
-        refused=(RefusedEffects(("dead_time",), "not written", 40.0, reason),),
+        "closed", effect("dead_time"), written=gap.WrittenPlant((), {}, reason),
+        refused=(gap.RefusedEffects(("dead_time",), "not written", 40.0, reason),),
     )  # fmt: skip
     assert "falls" not in headline(refused) and reason in headline(refused)
     assert "Identify the plant again" in next_step_in_words(refused)
@@ -230,24 +143,13 @@ def test_an_undecided_name_leads_to_an_experiment():
 
 
 def test_what_the_written_plant_changes_is_reported():
-    other = {"dead_time_1_s": FittedValue(0.05, "s", 0.001, 0.0)}
+    other = {"dead_time_1_s": gap.FittedValue(0.05, "s", 0.001, 0.0)}
     row = document("closed", effect("dead_time", parameters=other))
     assert headline(row).endswith("Fitted for the written plant: dead time 30 ± 1 ms.")
-    softer = {"root_stiffness_1_nm_rad": FittedValue(80.0, "N.m/rad", None, 100.0)}
-    row = document(answers=(0.95, 0.0, 0.05), written=WrittenPlant((), softer))
+    softer = {"root_stiffness_1_nm_rad": gap.FittedValue(80.0, "N.m/rad", None, 100.0)}
+    row = document(answers=(0.95, 0.0, 0.05), written=gap.WrittenPlant((), softer))
     assert "root stiffness 1 −20%" in headline(row)
     assert "Use the refitted plant" in next_step_in_words(row)
-
-
-def test_look_alikes_come_with_the_motion_that_separates_them():
-    motion = SeparatingMotion("slow triangle", {"slow triangle": 8.2, "multisine": 2.0})
-    row = effect("creep", look_alikes=["hysteresis", "backlash:2"], separated_by=motion)
-    words = look_alikes_in_words(row)
-    assert "creep from hysteresis or backlash of joint 2" in words
-    assert "'slow triangle' would (d′ 8)" in words
-    weak = replace(row, separated_by=SeparatingMotion("multisine", {"multisine": 2.0}))
-    assert "no fixed motion" in look_alikes_in_words(weak)
-    assert look_alikes_in_words(replace(row, look_alikes=())) == ""
 
 
 @pytest.mark.parametrize(
@@ -256,7 +158,7 @@ def test_look_alikes_come_with_the_motion_that_separates_them():
 )
 def test_the_strength_is_that_of_the_joint_that_changed_most(first, second, joint):
     parameters = {
-        f"friction_{j}_nm": FittedValue(after, "N.m", None, before)
+        f"friction_{j}_nm": gap.FittedValue(after, "N.m", None, before)
         for j, (before, after) in ((1, first), (2, second))
     }
     row = effect("coulomb_friction", parameters=parameters)
@@ -267,46 +169,32 @@ def test_the_strength_is_that_of_the_joint_that_changed_most(first, second, join
 
 
 def test_values_are_written_in_display_units():
-    assert amount(FittedValue(-0.05, "s", 2e-4, 0.0)) == "−50 ± 0.2 ms"
-    assert amount(FittedValue(5.1, "N.m.s/rad", 0.12, 3.2)) == "from 3.2 to 5.1 ± 0.12 N·m·s/rad"
-    assert amount(FittedValue(0.15, "1", None, 0.0)) == "15 %"
-
-
-def test_the_console_shows_a_plain_result_in_about_a_dozen_lines():
-    row = document("closed", effect("dead_time"))
-    row = replace(row, headline=headline(row))
-    lines = gap_in_words(row, "out/gap.json").splitlines()
-    assert len(lines) <= 12
-    assert lines[:2] == ["verdict: closed", row.headline] and lines[-1].startswith("next: ")
-    signals = [line.split()[0] for line in lines if line.startswith("  ")]
-    assert signals == ["angle_1_rad", "tip_x_m"], "the largest gap first"
+    assert amount(gap.FittedValue(-0.05, "s", 2e-4, 0.0)) == "−50 ± 0.2 ms"
+    assert (
+        amount(gap.FittedValue(5.1, "N.m.s/rad", 0.12, 3.2)) == "from 3.2 to 5.1 ± 0.12 N·m·s/rad"
+    )
+    assert amount(gap.FittedValue(0.15, "1", None, 0.0)) == "15 %"
 
 
 # What a person checks on the robot
 
 
-def test_every_effect_has_a_check_and_one_outside_the_catalogue_a_general_one():
-    assert EFFECT_CHECKS.keys() == EVERY_EFFECT.keys()
-    row = document("closed", effect("hose_spring"))
-    assert effects_to_check(row) == {"hose_spring": GENERAL_CHECK}
-    many = document(effect_probabilities=dict.fromkeys(EVERY_EFFECT, 0.5))
-    assert len(effects_to_check(many)) == MOST_CHECKS and effects_to_check(document()) == {}
-
-
-def test_named_effects_are_checked_first_then_likely_ones_then_look_alikes():
+@pytest.mark.parametrize(("verdict", "last"), [("reduced", ["unmodelled_payload"]), ("closed", [])])
+def test_named_effects_are_checked_first_and_further_ones_where_more_than_noise_remains(
+    verdict, last
+):
+    further = gap.RefusedEffects(("unmodelled_payload",), "further", 17.0, "equations")
     row = document(
-        "closed", effect("creep", look_alikes=["encoder_offset"]), effect("prebend", 2),
-        effect_probabilities={"creep": 0.9, "cogging:1": 0.4, "hysteresis": 0.3, "stiction": 0.09},
+        verdict, effect("creep", look_alikes=["encoder_offset"]), effect("hose_spring", 2),
+        effect_probabilities={"creep": 0.9, "cogging:1": 0.4, "stiction": 0.09},
+        refused=(further,),
     )  # fmt: skip
-    order = ["creep", "prebend", "cogging", "hysteresis", "encoder_offset"]
-    assert list(effects_to_check(row)) == order
-
-
-@pytest.mark.parametrize(("verdict", "checked"), [("reduced", True), ("closed", False)])
-def test_further_effects_are_checked_where_more_than_noise_remains(verdict, checked):
-    further = RefusedEffects(("unmodelled_payload",), "further", 17.0, "equations")
-    row = document(verdict, effect("backlash"), refused=(further,))
-    assert ("unmodelled_payload" in effects_to_check(row)) == checked
+    checks = effects_to_check(row)
+    order = ["creep", "hose_spring", "cogging", "encoder_offset"]
+    assert list(checks) == [*order, *last]
+    assert checks["hose_spring"] == GENERAL_CHECK, "it is of no catalogue"
+    many = document(effect_probabilities=dict.fromkeys("abcdefgh", 0.5))
+    assert len(effects_to_check(many)) == MOST_CHECKS and effects_to_check(document()) == {}
 
 
 @pytest.mark.parametrize(
@@ -338,7 +226,9 @@ def test_a_motion_is_recommended_that_the_servo_may_run(
 
 def notes(error_known="measured", larger=(), keys=("1dof steps",), **changes):
     """Notes of a document whose plant's error is known as stated."""
-    floor = NoiseFloorSummary(True, {"di": None}, dict.fromkeys(keys, error_known), dict(larger))
+    floor = gap.NoiseFloorSummary(
+        True, {"di": None}, dict.fromkeys(keys, error_known), dict(larger)
+    )
     return notes_in_words(replace(document(), noise_floor=floor, **changes))
 
 
@@ -350,9 +240,9 @@ def test_plain_trials_need_no_note_and_everything_unusual_is_noted():
             rows_fitted={"long": 5000}, settings=GapSettings(same_link=True),
             odd_trials=(OutlierTrial("p2_r2", "p2_r2.csv", 1.0, 8.9, 1.6),),
             changed_conditions=(
-                ChangedCondition("step_s", "s", (0.017,), (0.02,)),
-                ChangedCondition("payload_kg", "kg", (0.0, 1.0), (0.5,)),
-                ChangedCondition("pressure_pa", "Pa", (41300.0,), (35e3,)),
+                gap.ChangedCondition("step_s", "s", (0.017,), (0.02,)),
+                gap.ChangedCondition("payload_kg", "kg", (0.0, 1.0), (0.5,)),
+                gap.ChangedCondition("pressure_pa", "Pa", (41300.0,), (35e3,)),
             ),
         )
     )  # fmt: skip
@@ -388,47 +278,26 @@ def test_conditions_are_compared_with_those_of_the_plant(make_trial):
     assert changed(other, 0.0, noise={}, model={}, curves={}, learned=False) == {}
 
 
-def test_groups_of_trials_are_named_in_words():
-    def noted(*keys):
-        (note,) = notes("unknown", keys=keys)
-        return note.replace("\u00a0", " ").split("too: ")[1]
-
-    meta = TrialMeta(
-        dof=2, payload_kg=1.0, trial=1, motion="sinusoid", source="rig", period_s=4.352,
-        amplitude_rad=np.radians(30), phase_2_rad=np.pi / 2, rest_samples=60,
-        conditions={"load_mass_kg": 0.5},
-    )  # fmt: skip
-    whole, short = (
-        trial_group_key(Trial("run", meta, {"time_s": 0.017 * np.arange(rows)}))
-        for rows in (572, 300)
-    )
-    words = "sinusoid of ±30°, period 4.352 s, joint 2 leads by 90°, two joints, load mass 0.5 kg"
-    assert noted(whole) == f"{motion_in_words(motion_of(whole))}." == f"{words}."
-    assert noted(whole, short) == f"{words}, 572 rows of 17.0 ms; {words}, 300 rows of 17.0 ms."
-    assert noted("1dof steps 0.3491rad 0s 0rad 572x0.017s") == "steps of ±20°, one joint."
-    assert noted("of another form") == "of another form."
-
-
 # Charts
 
 
 def test_signals_are_ranked_by_their_largest_significant_gap_over_a_trial():
     rows = [
-        MappedRegion("di", "trial", "one", 3.0, 0, 0, True),
-        MappedRegion("tip_x_m", "trial", "one", 2.0, 0, 0, True),
-        MappedRegion("tip_x_m", "trial", "two", 5.0, 0, 0, True),
-        MappedRegion("current_1_a", "trial", "one", 9.0, 0, 0, False),
-        MappedRegion("di", "band", "0 to 0.3 Hz", 20.0, 0, 0, True),
+        gap.MappedRegion("di", "trial", "one", 3.0, 0, 0, True),
+        gap.MappedRegion("tip_x_m", "trial", "one", 2.0, 0, 0, True),
+        gap.MappedRegion("tip_x_m", "trial", "two", 5.0, 0, 0, True),
+        gap.MappedRegion("current_1_a", "trial", "one", 9.0, 0, 0, False),
+        gap.MappedRegion("di", "band", "0 to 0.3 Hz", 20.0, 0, 0, True),
     ]
-    assert largest_gaps(rows) == {"tip_x_m": 5.0, "di": 3.0}
-    assert list(largest_gaps(rows[3:])) == ["current_1_a"]
+    assert gap.largest_gaps(rows) == {"tip_x_m": 5.0, "di": 3.0}
+    assert list(gap.largest_gaps(rows[3:])) == ["current_1_a"]
 
 
 def test_a_map_shows_every_value_and_shades_the_significant_ones():
     regions = [
-        MappedRegion("tip_x_m", "phase", "1/8", 1.0, 0, 0.5, False),
-        MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
-        MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
+        gap.MappedRegion("tip_x_m", "phase", "1/8", 1.0, 0, 0.5, False),
+        gap.MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
+        gap.MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
     ]
     _, table = localisation_maps(regions, 0.05)
     assert table.title == "Phase of the cycle" and list(table.header) == ["", "1/8", "2/8"]

@@ -9,14 +9,11 @@ import pytest
 
 from models.gap.residuals.fit_parameters import (
     KNOWN_VALUE_FRACTION,
-    FitParameter,
     candidate_effects,
     effect_candidates,
     is_known_elsewhere,
     nuisance_fit_parameters,
     plant_with_every_effect,
-    prior_matrix,
-    prior_precision,
 )
 from models.gap.residuals.localisation import GapRegion, locate_gap, location_sentence
 from models.gap.residuals.time_blocks import BLOCKS, in_time_blocks, is_time_block
@@ -30,6 +27,7 @@ from models.plant.identification.noise_floor import (
 )
 from models.plant.plant import read_plant
 from models.trials.trial import Trial, TrialMeta, TrialSet
+from tests.models.made_trials import with_conditions
 
 EXAMPLES = Path(examples.__path__[0])
 SYSTEMS = [p for p in sorted(EXAMPLES.glob("*.toml")) if ".map" not in p.suffixes]
@@ -102,29 +100,6 @@ def test_values_of_a_known_plant_stay_within_some_per_cent(pendulum):
         assert (q.low, q.high) == (free[name].low, free[name].high)
 
 
-def test_clocks_of_trials_may_differ_but_not_be_late_together():
-    trials = 6
-    parameters = [
-        FitParameter(name, "trial", {}, {}, deviation, trial=t)
-        for t in range(trials)
-        for name, deviation in (("friction", 0.05), ("sync_s", 0.002))
-    ] + [FitParameter("creep_share_1", "effect")]
-    clocks = np.array([q.name == "sync_s" for q in parameters])
-    precision = prior_precision(parameters)
-    assert precision[0] == pytest.approx(0.05**-2) and precision[-1] == 0.0
-
-    def cost(values):
-        return float(values @ prior_matrix(parameters) @ values)
-
-    friction = np.where(clocks | (precision == 0), 0.0, 0.05)
-    assert cost(friction) == pytest.approx(trials), "friction may be higher in all trials"
-    values = np.zeros(len(parameters))
-    values[clocks] = 0.002 * np.resize([1.0, -1.0], trials)
-    assert cost(values) == pytest.approx(trials)
-    values[clocks] = 0.0001
-    assert cost(values) > 100
-
-
 # Blocks of time of a single trial
 
 ROWS = 2401
@@ -154,7 +129,7 @@ def test_blocks_are_the_recording_in_order_and_each_is_held_out_once(recording):
 
 def test_a_recording_is_not_cut_where_it_need_not_or_cannot_be(recording, pendulum):
     car = read_plant(EXAMPLES / "emps.toml")
-    other = replace(recording, meta=msgspec.structs.replace(recording.meta, motion="other"))
+    other = with_conditions(recording, motion="other")
     short = {name: column[:900] for name, column in recording.columns.items()}
     single = TrialSet((recording,))
     for plant, trials in (

@@ -10,7 +10,6 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.nuisance_fit import NuisanceFit
 from models.gap.residuals.fit_parameters import (
     all_fit_parameters,
-    candidate_effects,
     effect_candidates,
 )
 from models.gap.residuals.residuals import Residuals
@@ -58,16 +57,6 @@ def test_a_far_strength_of_the_present_fit_is_tried_beside_earlier_names_too(far
     (point,), here, mask = far_strengths("sensor_lag", from_plant=False, sensor_lag_1_s=0.03)
     assert point.cost < here.cost
     assert point.values[mask][0] == pytest.approx(0.02)
-
-
-def test_only_the_tail_of_stribeck_friction_is_fitted_last(plant):
-    late = {
-        q.name: q.effect
-        for name in candidate_effects(plant)
-        for q in effect_candidates(plant, name, 1)[name]
-        if q.fitted_last
-    }
-    assert late == {"stribeck_tail_1": "stribeck_friction"}
 
 
 @pytest.mark.parametrize("learned", [True, False])

@@ -13,10 +13,8 @@ from firmware_py.safety.limits import Limits
 from models.plan.inversion import rms
 from models.plan.learning import (
     RecordedRun,
-    fitting_payload,
     improve_plan,
     interpolated,
-    payload_weights,
     read_plan_run,
     unknown_error_m,
 )
@@ -99,14 +97,6 @@ def test_joints_that_follow_late_get_their_goals_earlier_with_every_payload(plan
     assert improved.goal_lead_s == delay_s == pytest.approx(PERIOD_S, rel=0.1)
     assert true_rms_m(twin, improved, late=1) < true_rms_m(twin, planned, late=1) / 5
     assert true_rms_m(twin, improved, late=1, goals_kg=0.0, payload_kg=0.0) < 2e-3
-
-
-def test_the_payload_of_a_run_follows_from_its_goals(planned):
-    for payload_kg in (0.0, 0.3, 1.0):
-        fitting_kg, difference = fitting_payload(planned, interpolated(planned, payload_kg))
-        assert fitting_kg == pytest.approx(payload_kg, abs=1e-9)
-        assert difference == pytest.approx(0.0)
-    assert payload_weights(planned, 0.25) == pytest.approx([0.75, 0.25])
 
 
 @pytest.fixture

@@ -9,8 +9,6 @@ import scipy.io
 from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.runner import CompiledModel
-from models.trials.recordings.mapping import ColumnSource, RecordingMap
-from models.trials.recordings.table import read_table
 from tests.real_data import real_recordings
 
 EXAMPLES = NOMINAL.parent / "examples"
@@ -70,13 +68,6 @@ def test_conditions_of_a_log_reach_the_plant_by_its_map(
     assert angle["mae"] < 1e-3 * moved
 
 
-def test_a_plant_that_lacks_the_friction_errs(evaluated, tmp_path, pendulum):
-    file = tmp_path / "log.json"
-    pendulum_log(pendulum, file, 400, 0.49, 0.1)
-    frictionless = EXAMPLES / "xl330_pendulum.toml"
-    assert evaluated([file], "xl330_pendulum", frictionless)["angle_1_rad"]["mae"] > 0.02
-
-
 def test_a_recording_of_the_car_is_simulated_from_its_voltage(evaluated, tmp_path):
     time_s = 1e-3 * np.arange(2000)
     command_v = 2.0 * np.sin(2 * np.pi * time_s / 2.0)
@@ -104,16 +95,3 @@ def test_the_car_follows_its_recording(evaluated):
     """Closer than with the published friction and offset, 3.0 mm."""
     files = real_recordings("emps").glob("*.mat")
     assert evaluated(files, "emps", CAR)["position_1_m"]["rms"] < 0.0030
-
-
-def test_the_flexible_links_records_are_read_column_by_column():
-    """Eight records of 4 s at 500 Hz; their description has 0.459° RMS of deflection."""
-    files = sorted(real_recordings("quanser").glob("lqg_step_*.mat"))
-    assert len(files) == 8
-    names = {"time_s": "time", "angle_2_rad": "theta12"}
-    mapping = RecordingMap(columns={n: ColumnSource(source=s) for n, s in names.items()})
-    records = [read_table(file, mapping)[0] for file in files]
-    for record in records:
-        assert np.allclose(np.diff(record.time_s), 0.002) and len(record.time_s) == 2000
-    deflection_rad = np.concatenate([record.columns["angle_2_rad"] for record in records])
-    assert np.degrees(np.sqrt(np.mean(deflection_rad**2))) == pytest.approx(0.459, abs=0.001)

@@ -156,17 +156,6 @@ def test_plants_that_differ_in_values_alone_share_their_functions():
     assert texts[0] != texts[1]
 
 
-def test_fitted_trials_are_distinguished_by_content(make_trial, swing_rad):
-    first, second = make_trial(swing_rad), make_trial(0.5 * swing_rad)
-    assert first.name == second.name
-    parent = Provenance(fitted_trials=Provenance().fitted_with([first]))
-    child = Provenance(fitted_trials=parent.fitted_with([second, first]))
-    assert [t.sha256 for t in child.fitted_trials] == [first.sha256(), second.sha256()]
-    assert child.was_fitted_to(first) and child.was_fitted_to(second)
-    assert not parent.was_fitted_to(second)
-    assert parent.was_fitted_to(replace(first, name="renamed"))
-
-
 def test_sums_of_parameters_that_no_machine_has_are_impossible():
     full = read_plant().with_effects("unmodelled_payload", "current_saturation")
     values = {name: q.value for name, q in full.parameters.items()}

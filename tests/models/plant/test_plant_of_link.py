@@ -1,7 +1,6 @@
 """Plant and rig of a described link: values, bounds, payloads and markers follow the link."""
 
 import json
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -24,6 +23,7 @@ from models.plant.plant import read_plant
 from models.plant.step_model import names
 from models.rig.parameters import read_parameters, rig_of_link
 from models.trials.trial import TrialSet
+from tests.models.made_trials import with_conditions
 
 STEP_S = 0.017
 SMALL = LinkDescription(
@@ -122,8 +122,7 @@ def test_payloads_beyond_the_link_are_refused(plant_of, make_trial):
     trial = make_trial(np.zeros(8), payload_kg=2.0)
     with pytest.raises(InputError, match=r"payload of 2 kg, a plant of this link takes 1.5 kg"):
         refuse_other_links(plant, "plant.json", TrialSet((trial,)))
-    meta = msgspec.structs.replace(trial.meta, payload_kg=1.5)
-    refuse_other_links(plant, "plant.json", TrialSet((replace(trial, meta=meta),)))
+    refuse_other_links(plant, "plant.json", TrialSet((with_conditions(trial, payload_kg=1.5),)))
 
 
 def test_a_payload_beyond_the_link_is_not_simulated(tmp_path, capsys):

@@ -2,7 +2,6 @@
 
 import json
 
-import casadi as ca
 import numpy as np
 import pytest
 from sklearn.model_selection import KFold
@@ -15,7 +14,6 @@ from models.predictor.polynomials import (
 from tests.models.predictor.cases import (
     assert_graphs_agree,
     fitted_predictor,
-    saved_graph,
 )
 
 
@@ -76,19 +74,6 @@ def test_graph_is_one_that_old_runtimes_load_and_describes_itself():
     assert len(graph.graph.node) < 25
     assert {prop.key: json.loads(prop.value) for prop in graph.metadata_props} == facts
     assert graph.SerializeToString() == again.SerializeToString()
-
-
-def test_casadi_differentiates_the_import(tmp_path):
-    predictor, features = fitted_predictor(3, 4)
-    path = saved_graph(predictor, features, tmp_path / "predictor.onnx")
-    x = ca.MX.sym("x", 3)
-    jacobian = ca.Function("jacobian", [x], [ca.jacobian(predictor_function(path)(x)[0], x)])
-    point, step = 0.5 * features[0], 1e-6 * np.abs(features).max(axis=0)
-    for i in range(3):
-        shift = np.eye(3)[i] * step
-        slope = predictor.predict((point + shift)[None]) - predictor.predict((point - shift)[None])
-        expected = slope[0] / (2 * step[i])
-        np.testing.assert_allclose(np.array(jacobian(point))[:, i], expected, rtol=1e-5, atol=1e-6)
 
 
 def test_a_damaged_graph_is_refused_by_its_name(tmp_path):

@@ -1,7 +1,6 @@
 """Another size, marker layout, mounting and servo on the rig, and the plant that starts from it."""
 
 import math
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -23,6 +22,7 @@ from models.trials.files import read_trial, write_trial
 from models.trials.pipeline import Inspection
 from models.trials.recordings.mapping import MocapFrame, Take, read_mapping
 from models.trials.trial import TrialSet
+from tests.models.made_trials import with_conditions
 
 LINK = LinkDescription(
     length_m=0.6, width_m=0.1, pressure_pa=20_700.0, payload_kg=0.2, joints=1,
@@ -61,7 +61,7 @@ def test_the_plant_of_the_file_is_near_before_any_fit(trial, link_file):
 
 
 def test_a_plant_of_another_mounting_is_refused(trial, link_file):
-    upright = replace(trial, meta=msgspec.structs.replace(trial.meta, gravity_m_s2=None))
+    upright = with_conditions(trial, gravity_m_s2=None)
     refuse_other_links(read_plant(link_file), link_file, (trial,))
     with pytest.raises(InputError, match=r"gravity is \[0, 0, -9.81\]"):
         refuse_other_links(read_plant(link_file), link_file, (upright,))

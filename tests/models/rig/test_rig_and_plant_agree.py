@@ -19,10 +19,16 @@ HIDDEN = {
     "cogging": (2.0, "current_1_a", 0.3),
     "marker_scale": (0.01, "tip_z_m", 0.02),
     "stiction": (3.0, "current_1_a", 0.65),
+    "current_bias": (0.2, "current_1_a", 0.06),
+    "current_scale": (0.1, "current_1_a", 0.5),
+    "marker_frame_tilt": (0.02, "tip_x_m", 0.03),
+    "sync_offset": (0.03, "tip_x_m", 0.3),
+    "encoder_offset": (0.02, "tip_x_m", 0.2),
+    "prebend": (0.05, "tip_x_m", 0.2),
 }
 """Strength, the signal that shows it most, and the largest part of its change that the equations
 may differ in: the rig's breakaway torque is full at a reversal and the plant's after some distance,
-and a rippled link is near its mode, which is lower in the nominal plant."""
+a rippled link is near its mode, which is lower in the nominal plant, and so are their currents."""
 
 PERIOD_S = {"encoder_ripple": 9.0}
 """Period of the motion, 2.6 s for other effects: the ripple must stay below the link's mode."""

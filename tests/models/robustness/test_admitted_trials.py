@@ -6,7 +6,6 @@ import math
 import re
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -20,9 +19,10 @@ from models.plant.identification import noise_floor
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
-from models.shared.kinematics import base_rotation
 from models.trials.files import write_trial
+from models.trials.recordings.series import marker_columns
 from models.trials.trial import SignalRole, Trial, TrialMeta
+from tests.models.made_trials import rigid_markers_m, with_columns, with_conditions
 
 pytestmark = pytest.mark.slow
 
@@ -52,7 +52,9 @@ def made(kind):
                     noise = NOISE[name.rsplit("_", 1)[-1]] * rng.standard_normal(len(y))
                     columns[name] = y[:, k] + noise
             if kind == "link":
-                columns |= _markers(trial.meta, columns["angle_1_rad"], rng)
+                places_m = rigid_markers_m(columns["angle_1_rad"][:, None])
+                places_m += 1.5e-4 * rng.standard_normal(places_m.shape)
+                columns |= marker_columns({f"m{i + 1:02d}": places_m[:, i] for i in range(16)})
             result.append(replace(trial, columns=columns))
     return tuple(result)
 
@@ -76,25 +78,11 @@ def _commanded(kind, payload_kg, number):
     return Trial(f"{kind}_{payload_kg:g}kg_{number}", TrialMeta(**common | more), columns)
 
 
-def _markers(meta, angle_rad, rng):
-    """Markers of a straight link whose last row stands at the tip."""
-    columns, rotation, half = {}, base_rotation(angle_rad[:, None]), meta.link_width_m / 2
-    for i in range(16):
-        row, corner = divmod(i, 4)
-        up_m = meta.base_offset_m + meta.link_length_m * (row + 1) / 4
-        body = [(half, -half)[corner % 2], (half, -half)[corner // 2], up_m]
-        place = rotation @ body + 1.5e-4 * rng.standard_normal((len(angle_rad), 3))
-        columns |= {f"m{i + 1:02d}_{axis}_m": place[:, k] for k, axis in enumerate("xyz")}
-    return columns
-
-
 # Changes of trials, and of the plant
 
 
 def described(**changes):
-    return lambda trials: [
-        replace(t, meta=msgspec.structs.replace(t.meta, **changes)) for t in trials
-    ]
+    return lambda trials: [with_conditions(t, **changes) for t in trials]
 
 
 def condition(**values):
@@ -103,7 +91,7 @@ def condition(**values):
 
 def columns(change):
     """Every trial with columns replaced by those that `change(trial)` returns."""
-    return lambda trials: [replace(t, columns=t.columns | change(t)) for t in trials]
+    return lambda trials: [with_columns(t, **change(t)) for t in trials]
 
 
 def constant(prefix, value):

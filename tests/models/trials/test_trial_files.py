@@ -5,7 +5,6 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -14,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, Motion
-from firmware_py.core.signals import UNIT_OF_SUFFIX, trial_signals
+from firmware_py.core.signals import trial_signals
 from models.plant.document import Provenance
 from models.plant.plant import NOMINAL, read_plant
 from models.rig.parameters import DEFAULT_STRUCTURE
@@ -25,6 +24,7 @@ from models.trials.files import read_trial, read_trials, write_trial
 from models.trials.origin import TrialOrigin, origin_notice, origins_of
 from models.trials.trial import SignalRole, Trial, TrialMeta, TrialSet, motion_start
 from models.trials.units import base_exponents, check_signal_units
+from tests.models.made_trials import with_conditions
 
 finite = st.floats(-6, 6, allow_nan=False)
 
@@ -120,19 +120,6 @@ def test_a_wrong_cell_is_refused_by_row_and_column(written, row, column, text, r
     assert f"row {row}" in sentence or f"row {row + 1}, column time_s" in sentence
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("m16_z_m", "spare_v", "column m16_z_m is missing"),
-        ("angle_1_rad", "angle_1_deg", "'angle_1_deg' to the SI unit and call it angle_1_rad"),
-        ("goal_2_rad", "goal_1_rad", "'goal_1_rad' stands twice"),
-    ],
-)
-def test_a_wrong_column_is_refused_by_name(written, old, new, words):
-    edit(written, old, new)
-    assert words in refusal(written)
-
-
 def test_an_unknown_column_needs_a_unit_unless_it_is_of_a_log(written):
     lines = written.read_text().splitlines()
     written.write_text("\n".join([lines[0] + ",di"] + [row + ",0.01" for row in lines[1:]]))
@@ -152,25 +139,28 @@ def test_a_damaged_file_is_refused(written):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "what"),
+    ("suffix", "old", "new", "words"),
     [
-        ("schema = 1", "schema = 2", "schema is 2"),
-        ("schema = 1\n", "", "schema is None"),
-        ("dof = 2", "dof = 3", "dof is 3"),
-        ("payload_kg = 1.0", "payload_kg = nan", "payload_kg is nan"),
-        ("payload_kg", "payload_g", "payload_g"),
-        ("period_s = 4.352", "period_s = 0.0", "period_s is 0.0"),
-        ("amplitude_rad = 0.5", "amplitude_rad = 30", "amplitude_rad is 30"),
-        ("pressure_pa = 41300.0", "pressure_pa = 6.0", "6 PSI are 41370 Pa"),
-        ("rest_samples = 3", "rest_samples = 64", "rest_samples is 64"),
-        ("rest_samples = 3", "rest_samples == 3", "is not TOML"),
-        ('motion = "sinusoid"', 'motion = "Sinusoid"', 'write motion = "sinusoid"'),
+        (".csv", "m16_z_m", "spare_v", "column m16_z_m is missing"),
+        (".csv", "angle_1_rad", "angle_1_deg", "to the SI unit and call it angle_1_rad"),
+        (".csv", "goal_2_rad", "goal_1_rad", "'goal_1_rad' stands twice"),
+        (".toml", "schema = 1", "schema = 2", "schema is 2"),
+        (".toml", "schema = 1\n", "", "schema is None"),
+        (".toml", "dof = 2", "dof = 3", "dof is 3"),
+        (".toml", "payload_kg = 1.0", "payload_kg = nan", "payload_kg is nan"),
+        (".toml", "payload_kg", "payload_g", "payload_g"),
+        (".toml", "period_s = 4.352", "period_s = 0.0", "period_s is 0.0"),
+        (".toml", "amplitude_rad = 0.5", "amplitude_rad = 30", "amplitude_rad is 30"),
+        (".toml", "pressure_pa = 41300.0", "pressure_pa = 6.0", "6 PSI are 41370 Pa"),
+        (".toml", "rest_samples = 3", "rest_samples = 64", "rest_samples is 64"),
+        (".toml", "rest_samples = 3", "rest_samples == 3", "is not TOML"),
+        (".toml", 'motion = "sinusoid"', 'motion = "Sinusoid"', 'write motion = "sinusoid"'),
     ],
 )
-def test_wrong_conditions_are_refused_by_key(written, old, new, what):
-    edit(written.with_suffix(".toml"), old, new)
+def test_a_wrong_name_or_condition_is_refused_by_its_file(written, suffix, old, new, words):
+    edit(written.with_suffix(suffix), old, new)
     sentence = refusal(written)
-    assert what in sentence and ".toml" in sentence
+    assert words in sentence and suffix in sentence
 
 
 def test_times_in_milliseconds_are_refused_for_the_link_alone(make_trial, swing_rad, tmp_path):
@@ -207,7 +197,7 @@ def test_a_full_disk_leaves_the_earlier_trial(make_trial, swing_rad, tmp_path, m
 
     for method in ("write_bytes", "write_text"):
         monkeypatch.setattr(Path, method, refused)
-    other = replace(trial, meta=msgspec.structs.replace(trial.meta, trial=7))
+    other = with_conditions(trial, trial=7)
     with pytest.raises(OSError, match="No space left"):
         write_trial(other, tmp_path)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -423,7 +413,7 @@ def test_the_rig_is_read_from_the_record_beside_a_trial(make_trial, tmp_path):
     fitted = Provenance().fitted_with([named])
     assert Provenance(fitted_trials=fitted).origins == (TrialOrigin("rig", "drawn_3"),)
     assert "backlash" not in repr(origins_of([named]))  # what is hidden stays hidden
-    measured = replace(named, meta=msgspec.structs.replace(named.meta, source="measured"))
+    measured = with_conditions(named, source="measured")
     assert origins_of([measured]) == (TrialOrigin("measured"),)
     for damaged in ("{", "[]", '{"trials": {"' + case.name + '": 1}}'):
         (tmp_path / "rig_conditions.json").write_text(damaged)
@@ -467,13 +457,3 @@ def test_a_signal_in_another_unit_is_refused(name, signal, words):
         check_signal_units(Path("car.toml"), {name: SignalRole(*signal)})
     assert f"car.toml: signal {name} is in {signal[0]!r}" in str(refused.value)
     assert words in str(refused.value)
-
-
-def test_every_si_unit_of_the_contract_may_be_that_of_a_signal():
-    for suffix, unit in UNIT_OF_SUFFIX.items():
-        if unit != "ns":
-            signals = {"x": SignalRole(unit, "measured"), f"x_{suffix}": SignalRole(unit, "goal")}
-            check_signal_units(Path("car.toml"), signals)
-    # A condition has the unit of its parameter, whatever its name ends in: `_nm_v` is no suffix.
-    signals = {"constant": SignalRole("N.m/V", "condition", "force_constant_1_nm_v")}
-    check_signal_units(Path("car.toml"), signals)

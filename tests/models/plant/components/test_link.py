@@ -78,23 +78,6 @@ def kinetic(q, payload_kg, bends, rates, step=1e-6):
     return 0.5 * ahead[0] @ np.sum(velocity**2, axis=1)
 
 
-def test_the_energy_that_is_lost_went_into_the_dampers():
-    plant, q = values()
-    model = plant.step_model(1, "driven")
-    x = place(model, {"root_bend_1_rad": 0.05, "step_s": STEP_S})
-    at = [names(model.states).index(f"{hinge}_bend_rate_1_rad_s") for hinge in ("root", "span")]
-    damping = np.array([q["root_damping_1_nm_s_rad"], q["span_damping_1_nm_s_rad"]])
-    powers, p, step_s = [], model.parameter_values(), 5e-4
-    for _ in range(400):
-        powers.append(damping @ x[at] ** 2)
-        x = model.advance(x, np.array([0.0, 1.0]), p, step_s)
-    powers.append(damping @ x[at] ** 2)
-    bends = x[[k - 1 for k in at]]
-    now = potential(q, 1.0, 0.0, *bends) + kinetic(q, 1.0, bends, x[at])
-    lost = potential(q, 1.0, 0.0, 0.05, 0.0) - now
-    assert lost == pytest.approx(np.trapezoid(powers, dx=step_s), rel=1e-3)
-
-
 @pytest.mark.parametrize("payload_kg", [0.0, 2.0])
 def test_modes_are_those_of_the_linear_equations(payload_kg):
     plant, q = values()

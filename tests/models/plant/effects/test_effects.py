@@ -14,18 +14,11 @@ from models.plant.effects_page import main as write_page
 from models.plant.plant import read_plant, scope_of
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
-from models.shared.catalogue import CATALOGUE, EVERY_EFFECT
+from models.shared.catalogue import CATALOGUE
 
 ALL = tuple(read_plant().applicable())
 """Effects of the link."""
 ROOT = Path(__file__).parents[4]
-
-
-def test_every_effect_of_the_catalogue_has_its_port_unit_and_place():
-    assert sorted(ORDER) == sorted(EFFECTS) == sorted(EVERY_EFFECT)
-    for name, row in EVERY_EFFECT.items():
-        assert EFFECTS[name].port == row.port
-        assert EFFECTS[name]().parameters(scope_of("cascade", "link", 1))[0].unit == row.unit, name
 
 
 def test_every_effect_is_bounded_and_absent_by_default():

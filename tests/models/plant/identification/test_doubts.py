@@ -17,6 +17,7 @@ from models.plant.identification.doubts import (
 from models.plant.plant import read_plant
 from models.predictor.fallback import doubts_of_di
 from models.trials.files import write_trial
+from tests.models.made_trials import with_columns, with_conditions
 
 
 def evaluation(tip_m=(0.002,), rigid_m=(0.02,), clock_m=(None,)):
@@ -81,13 +82,13 @@ def test_a_constant_near_the_data_sheet_or_a_single_payload_raises_no_doubt(
 
 def test_wrong_payloads_and_currents_are_named_as_causes(synthetic):
     light, heavy = payload_trials(synthetic)
-    pounds = changed(heavy, payload_kg=2.2046 * heavy.meta.payload_kg)
+    pounds = with_conditions(heavy, payload_kg=2.2046 * heavy.meta.payload_kg)
     (doubt,) = torque_constant_doubts(read_plant(), [light, pounds])
     assert "or the payloads are in pounds" in doubt
-    grams = changed(heavy, payload_kg=1e3 * heavy.meta.payload_kg)
+    grams = with_conditions(heavy, payload_kg=1e3 * heavy.meta.payload_kg)
     assert not any("nan" in text for text in torque_constant_doubts(read_plant(), [light, grams]))
     turned = 2 * light.columns["current_1_a"] - heavy.columns["current_1_a"]
-    falling = replace(heavy, columns=heavy.columns | {"current_1_a": turned})
+    falling = with_columns(heavy, current_1_a=turned)
     (doubt,) = torque_constant_doubts(read_plant(), [light, falling])
     assert "of joint 1" in doubt and "check the sign" in doubt
 
@@ -96,11 +97,7 @@ def test_wrong_payloads_and_currents_are_named_as_causes(synthetic):
 def trials(toy_trials):
     """Two trials of the nominal link."""
     size = {"link_length_m": 0.95, "link_width_m": 0.15, "base_offset_m": 0.06}
-    return [changed(t, **size) for t in toy_trials(1)[:2]]
-
-
-def changed(trial, **conditions):
-    return replace(trial, meta=msgspec.structs.replace(trial.meta, **conditions))
+    return [with_conditions(t, **size) for t in toy_trials(1)[:2]]
 
 
 @pytest.mark.parametrize(
@@ -108,13 +105,15 @@ def changed(trial, **conditions):
     [{"link_length_m": 0.475}, {"base_offset_m": 0.3}, {"gravity_m_s2": (0.0, 0.0, 9.81)}],
 )
 def test_trials_of_another_link_are_refused(trials, change):
-    measured = [changed(t, link_length_m=0.946) for t in trials]  # a length by the tape
+    measured = [with_conditions(t, link_length_m=0.946) for t in trials]  # a length by the tape
     refuse_other_links(read_plant(), "plant.json", measured)
-    mixed = [trials[0], changed(trials[1], **change)]
+    mixed = [trials[0], with_conditions(trials[1], **change)]
     with pytest.raises(InputError, match=str(mixed[1].path)):
         refuse_other_links(read_plant(), "plant.json", mixed)
     with pytest.raises(InputError, match=next(iter(change)).removesuffix("_m_s2")):
-        refuse_other_links(read_plant(), "plant.json", [changed(t, **change) for t in trials])
+        refuse_other_links(
+            read_plant(), "plant.json", [with_conditions(t, **change) for t in trials]
+        )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +130,7 @@ def test_every_command_that_compares_trials_with_a_plant_refuses(
 ):
     name, *options = command
     for trial in trials:
-        write_trial(changed(trial, base_offset_m=0.3), tmp_path / "trials")
+        write_trial(with_conditions(trial, base_offset_m=0.3), tmp_path / "trials")
     monkeypatch.chdir(tmp_path)
     read_plant().write(tmp_path / "nominal.json")
     assert main([name, "trials", "--plant", "nominal.json", *options]) == 2

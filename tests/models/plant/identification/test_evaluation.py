@@ -9,7 +9,7 @@ from models.plant.document import CLOCK_LIMIT_S
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 
-LATE_S = (-0.0081, 0.0, 0.0034, 0.0073)
+LATE_S = (-0.0081, 0.0073)
 """Offsets that no whole number of steps makes."""
 
 

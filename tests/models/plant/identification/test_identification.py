@@ -1,9 +1,7 @@
 """Identification of plants whose parameters are known, from noisy runs of them."""
 
 import json
-from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from models.plant.identification.identify import (
     SHAPE,
     identify,
     starts_with_alike_servos,
-    starts_with_option,
 )
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import write_trial
@@ -184,18 +181,3 @@ def test_the_shape_of_either_joints_goals_is_tried_for_both_if_they_differ(secon
         for start in starts_with_alike_servos(plant)
     ]
     assert shapes == [2 * [first], 2 * [second]][:others]
-
-
-@pytest.mark.parametrize("change", [{"value": 0.2}, {"role": "nuisance"}])
-def test_an_option_that_the_plant_has_or_leaves_free_is_not_tried_again(change):
-    plant = read_plant()
-    q = msgspec.structs.replace(plant.parameters["velocity_feedforward_1"], **change)
-    known = replace(plant, parameters={**plant.parameters, q.name: q})
-    tried = {
-        name
-        for start in starts_with_option(known)
-        for name, p in start.parameters.items()
-        if p != known.parameters[name]
-    }
-    options = ("profile_acceleration_{}_rad_s2", "setpoint_weight_{}")
-    assert tried == {name.format(j) for name in options for j in (1, 2)}

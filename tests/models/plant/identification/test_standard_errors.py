@@ -28,7 +28,7 @@ def drawn_problem(groups, rng):
 def test_two_standard_errors_cover_the_truth_where_errors_are_correlated(groups):
     rng = np.random.default_rng(groups)
     covered, naive = [], []
-    for _ in range(400):
+    for _ in range(200):
         estimate, residual, jacobian, labels = drawn_problem(groups, rng)
         errors = cluster_errors(residual, jacobian, NO_PRIOR, [labels], -FREE, FREE)
         covered.append(np.abs(estimate) < 2 * errors)

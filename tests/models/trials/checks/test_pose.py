@@ -145,10 +145,6 @@ def test_a_wrong_frame_is_named_with_its_size(places_m, frame, level, cause, wor
     assert (finding.level, finding.cause) == (level, cause) and words in finding.text
 
 
-def test_alignment_by_the_rest_corrects_the_frame():
-    assert causes(PLACES_M @ about("z", 29).T, MocapFrame(align="rest")) == []
-
-
 @pytest.mark.parametrize(
     ("frame", "origin_m"),
     [

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -14,18 +13,11 @@ from models.trials.checks.motion import judge_goals
 from models.trials.checks.tip import judge_tip
 from models.trials.checks.trials import check_trial, refuse_unusable
 from models.trials.files import write_trial
+from tests.models.made_trials import with_columns, with_conditions
 
 ROWS = slice(60, 120)
 """Rows of the fault: 62 to 121 of a file with a header."""
 NAMES = [f"m{k:02d}" for k in range(1, 17)]
-
-
-def changed(trial, **columns):
-    return replace(trial, columns=trial.columns | columns)
-
-
-def stated(trial, **conditions):
-    return replace(trial, meta=msgspec.structs.replace(trial.meta, **conditions))
 
 
 def cells(*markers):
@@ -39,7 +31,7 @@ def put(columns, value, rows=ROWS):
         new = {name: trial.columns[name].copy() for name in columns}
         for column in new.values():
             column[rows] = value(column[rows]) if callable(value) else value
-        return changed(trial, **new)
+        return with_columns(trial, **new)
 
     return change
 
@@ -54,7 +46,7 @@ def exchanged(one, other, hidden=0):
             new[a][ROWS] = trial.columns[b][ROWS]
         for column in new.values():
             column[ROWS.start - hidden : ROWS.start] = np.nan
-        return changed(trial, **new)
+        return with_columns(trial, **new)
 
     return change
 
@@ -68,7 +60,7 @@ def noisy_current(then=lambda trial: trial):
 
     def change(trial):
         noise_a = 0.05 * np.random.default_rng(0).standard_normal(len(trial))
-        return then(changed(trial, current_1_a=trial.columns["current_1_a"] + noise_a))
+        return then(with_columns(trial, current_1_a=trial.columns["current_1_a"] + noise_a))
 
     return change
 
@@ -76,14 +68,14 @@ def noisy_current(then=lambda trial: trial):
 def reversed_friction(trial):
     rate = np.gradient(trial.columns["angle_1_rad"])
     noise_a = 0.02 * np.random.default_rng(0).standard_normal(len(trial))
-    return changed(trial, current_1_a=noise_a + 2.0 * np.sign(rate))
+    return with_columns(trial, current_1_a=noise_a + 2.0 * np.sign(rate))
 
 
 def stepped_goal(trial):
     current = 0.02 * np.random.default_rng(0).standard_normal(len(trial))
     current[101] = 6.0
     goal = np.where(np.arange(len(trial)) >= 100, 0.5, 0.0)
-    return changed(trial, goal_1_rad=goal, angle_1_rad=0 * goal, current_1_a=current)
+    return with_columns(trial, goal_1_rad=goal, angle_1_rad=0 * goal, current_1_a=current)
 
 
 # --- markers, encoder and current -----------------------------------------------------------------
@@ -152,7 +144,7 @@ def test_signals_of_zeros_do_not_make_numpy_warn(trial):
 
 
 def with_tip(trial, tip_m):
-    return changed(trial, **dict(zip(cells("tip"), np.array(tip_m).T, strict=True)))
+    return with_columns(trial, **dict(zip(cells("tip"), np.array(tip_m).T, strict=True)))
 
 
 def pivot(trial, offset_m):
@@ -208,7 +200,7 @@ def test_a_tip_beside_the_last_marker_row_is_refused_with_its_cause(trial, words
         (lambda t: without(*NAMES)(negated(t)), []),  # only the reach is known
         (lambda t: without(*NAMES)(in_inches(t)), ["refused"]),
         (lambda t: with_tip(t, np.nan * t.tip_m), []),
-        (lambda t: stated(negated(t), link_length_m=0.0), []),  # of another plant
+        (lambda t: with_conditions(negated(t), link_length_m=0.0), []),  # of another plant
     ],
 )
 def test_a_tip_is_compared_where_the_last_row_shows_it(trial, change, levels):
@@ -275,14 +267,14 @@ def test_a_run_that_ended_early_has_no_findings(run):
 
 def test_goals_that_contradict_angles_or_conditions_are_named(run):
     trial, ahead = run(Motion()), run(Motion(dof=2, phase_2_rad=np.pi / 2), 1.0)
-    still = changed(trial, goal_1_rad=0 * trial.time_s)
+    still = with_columns(trial, goal_1_rad=0 * trial.time_s)
     assert of_goals(still) == [("refused", "goal")]
-    assert of_goals(stated(still, amplitude_rad=0.0)) == []  # moved by hand
-    assert of_goals(changed(still, angle_1_rad=0 * trial.time_s)) == [("warning", "amplitude")]
-    assert of_goals(stated(trial, motion="steps")) == [("warning", "motion")]
-    assert of_goals(stated(trial, motion="of mine")) == of_goals(ahead) == []
-    assert of_goals(stated(ahead, phase_2_rad=0.0)) == [("warning", "phase")]
-    mirrored = changed(trial, goal_1_rad=-trial.columns["goal_1_rad"])
+    assert of_goals(with_conditions(still, amplitude_rad=0.0)) == []  # moved by hand
+    assert of_goals(with_columns(still, angle_1_rad=0 * trial.time_s)) == [("warning", "amplitude")]
+    assert of_goals(with_conditions(trial, motion="steps")) == [("warning", "motion")]
+    assert of_goals(with_conditions(trial, motion="of mine")) == of_goals(ahead) == []
+    assert of_goals(with_conditions(ahead, phase_2_rad=0.0)) == [("warning", "phase")]
+    mirrored = with_columns(trial, goal_1_rad=-trial.columns["goal_1_rad"])
     for wrong, words in ((still, "goal_1_rad stands still"), (mirrored, "sign of angle_1_rad")):
         with pytest.raises(InputError, match=words):
             refuse_unusable([wrong])
@@ -292,7 +284,7 @@ def test_goals_that_contradict_angles_or_conditions_are_named(run):
 @pytest.mark.parametrize("after_s", [0.0, 4.0])
 def test_a_wrong_time_step_is_a_wrong_period(run, factor, count, after_s):
     trial = run(Motion(), after_s)
-    found = judge_goals(changed(trial, time_s=factor * trial.time_s))
+    found = judge_goals(with_columns(trial, time_s=factor * trial.time_s))
     assert [f.cause for f in found] == count * ["period"]
     assert all(f"{4.352 * factor:.3f} s" in f.text for f in found)
 

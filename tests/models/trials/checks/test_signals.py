@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -20,7 +19,8 @@ from models.trials.checks.payloads import (
 )
 from models.trials.checks.trials import check_trial, check_trials, judge_doubled, refuse_unusable
 from models.trials.files import write_trial
-from models.trials.trial import Trial, TrialMeta, TrialSet
+from models.trials.trial import TrialSet
+from tests.models.made_trials import rigid_trial, with_columns, with_conditions
 
 STEP_S, REST = 0.017, 60
 KG_A = 2.0
@@ -30,16 +30,16 @@ SIGNALS = (("goal", "rad"), ("angle", "rad"), ("current", "a"))
 
 def swung(payload_kg=1.0, number=1, dof=1, shown_kg=None):
     """A trial without motion capture: rest, then two periods; friction, weight and noise."""
-    meta = TrialMeta(
-        dof=dof, payload_kg=payload_kg, pressure_pa=41300.0, trial=number, motion="sinusoid",
-        period_s=4.352, amplitude_rad=0.5, phase_2_rad=1.57 if dof == 2 else 0.0, source="measured",
-        base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=REST,
-    )  # fmt: skip
     time_s = STEP_S * np.arange(REST + 512)
     rng = np.random.default_rng(number)
-    columns = {"time_s": time_s}
+    unseen_m = np.full((len(time_s), 16, 3), np.nan)
+    trial = rigid_trial(
+        np.zeros((len(time_s), dof)), unseen_m, name=f"load{payload_kg:g}_{number}",
+        payload_kg=payload_kg, trial=number, phase_2_rad=1.57 if dof == 2 else 0.0,
+        rest_samples=REST,
+    )  # fmt: skip
     for j in range(1, dof + 1):
-        phase = 2 * np.pi * np.maximum(time_s - STEP_S * REST, 0) / meta.period_s
+        phase = 2 * np.pi * np.maximum(time_s - STEP_S * REST, 0) / 4.352
         goal = 0.5 * np.sin(phase) if j == 1 else 0.25 * (np.cos(phase) - 1)
         angle = np.interp(time_s - 0.03, time_s, goal) + 2e-5 * rng.standard_normal(len(time_s))
         load = KG_A * (0.7 + (payload_kg if shown_kg is None else shown_kg))
@@ -47,18 +47,8 @@ def swung(payload_kg=1.0, number=1, dof=1, shown_kg=None):
         noise = 0.05 * rng.standard_normal(len(time_s))
         signals = (goal, angle, friction - load * np.sin(angle) + noise)
         names = [f"{signal}_{j}_{unit}" for signal, unit in SIGNALS]
-        columns |= dict(zip(names, signals, strict=True))
-    occluded = [f"{name}_{axis}_m" for name in ("tip", *meta.layout.names) for axis in "xyz"]
-    columns |= {name: np.full(len(time_s), np.nan) for name in occluded}
-    return Trial(f"load{payload_kg:g}_{number}", meta, columns)
-
-
-def changed(trial, **columns):
-    return replace(trial, columns=trial.columns | columns)
-
-
-def stated(trial, **conditions):
-    return replace(trial, meta=msgspec.structs.replace(trial.meta, **conditions))
+        trial.columns.update(zip(names, signals, strict=True))
+    return trial
 
 
 def findings(trial):
@@ -81,9 +71,9 @@ def test_a_right_trial_has_no_findings(dof):
 @pytest.mark.parametrize(
     ("mistake", "level", "cause"),
     [
-        (lambda t: changed(t, current_1_a=1e-3 * t.columns["current_1_a"]), "warning", "unit"),
-        (lambda t: changed(t, current_2_a=t.columns["current_1_a"]), "refused", "doubled"),
-        (lambda t: stated(t, amplitude_rad=0.2), "warning", "amplitude"),
+        (lambda t: with_columns(t, current_1_a=1e-3 * t.columns["current_1_a"]), "warning", "unit"),
+        (lambda t: with_columns(t, current_2_a=t.columns["current_1_a"]), "refused", "doubled"),
+        (lambda t: with_conditions(t, amplitude_rad=0.2), "warning", "amplitude"),
     ],
 )
 def test_a_wrong_signal_or_condition_is_named(mistake, level, cause):
@@ -130,13 +120,13 @@ def test_servo_logs_of_other_takes_are_recognised_by_the_bend(shown_kg, causes):
         trial = swung(kg, shown_kg=shown)
         tip_rad = (1.05 + 0.05 * kg) * trial.columns["angle_1_rad"]
         tip = {"tip_x_m": 1.01 * np.sin(tip_rad), "tip_z_m": 1.01 * np.cos(tip_rad)}
-        takes.append(changed(trial, tip_y_m=0 * tip_rad, **tip))
+        takes.append(with_columns(trial, tip_y_m=0 * tip_rad, **tip))
     assert [f.cause for f in shared(*takes, causes=("servo log", "payload"))] == causes
 
 
 def in_another_unit(factor):
     """Trials of 0, 1 and 2 kg whose payloads are stated in another unit."""
-    return [stated(swung(kg), payload_kg=factor * kg) for kg in (0.0, 1.0, 2.0)]
+    return [with_conditions(swung(kg), payload_kg=factor * kg) for kg in (0.0, 1.0, 2.0)]
 
 
 @pytest.mark.parametrize(
@@ -181,9 +171,9 @@ def test_validate_with_a_plant_names_payloads_in_pounds(tmp_path, capsys):
 )
 def test_copies_share_their_angles_or_their_recording(sha256, noise_rad, count):
     """Angles may differ in the last digits after another import of one file."""
-    once = stated(swung(), recording_sha256="a" * 64)
+    once = with_conditions(swung(), recording_sha256="a" * 64)
     near = once.columns["angle_1_rad"] + noise_rad
-    again = stated(changed(once, angle_1_rad=near), recording_sha256=sha256)
+    again = with_conditions(with_columns(once, angle_1_rad=near), recording_sha256=sha256)
     named = [replace(once, path=Path("a") / "x.csv"), replace(again, path=Path("b") / "x.csv")]
     found = judge_doubled(named)
     assert [f.cause for f in found] == ["doubled"] * count
@@ -192,7 +182,7 @@ def test_copies_share_their_angles_or_their_recording(sha256, noise_rad, count):
 
 @pytest.mark.parametrize(("pressure_pa", "count"), [(42000.0, 0), (20700.0, 1)])
 def test_trials_of_several_pressures_are_named(pressure_pa, count):
-    trials = (swung(number=1), stated(swung(number=2), pressure_pa=pressure_pa))
+    trials = (swung(number=1), with_conditions(swung(number=2), pressure_pa=pressure_pa))
     found = shared(*trials, causes=("pressure",))
     assert ["20700 to 41300 Pa" in f.text for f in found] == [True] * count
 
@@ -202,7 +192,7 @@ def test_joints_that_move_together_matter_to_a_predictor_only():
     for number in (1, 2):
         one = swung(dof=2, number=number)
         both = {f"{n}_2_{unit}": one.columns[f"{n}_1_{unit}"] for n, unit in SIGNALS}
-        trials.append(changed(one, **both))
+        trials.append(with_columns(one, **both))
     (found,) = shared(*trials, causes=("joints",))
     assert found.level == "warning" and "to train a predictor" in found.remedy
 
@@ -235,7 +225,7 @@ def swing(make_trial):
         noise = 0.02 * np.random.default_rng(3).standard_normal(len(angle))
         trial = make_trial(angle, period_s=period_s, rest_samples=20, gravity_m_s2=stated)
         current = (inertia_nm - weight_nm) / 5.0 + 0.4 * np.tanh(rate / 0.05) + noise
-        return replace(trial, columns=trial.columns | {"current_1_a": current})
+        return with_columns(trial, current_1_a=current)
 
     return make
 
@@ -277,5 +267,4 @@ def test_conditions_of_the_link_in_the_table_of_other_plants_are_refused(make_tr
     assert [f.cause for f in refused] == ["conditions"] and "payload_kg" in refused[0].text
     with pytest.raises(InputError, match=r"\[conditions\] names payload_kg"):
         refuse_unusable([trial])
-    of_another_plant = msgspec.structs.replace(trial.meta, link_length_m=0.0)
-    refuse_unusable([replace(trial, meta=of_another_plant)])
+    refuse_unusable([with_conditions(trial, link_length_m=0.0)])  # of another plant

@@ -8,7 +8,7 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.link.link_description import STUDY_LINK
 from models.trials.files import read_trial
-from models.trials.recordings.assembly import assemble_trial, resample, time_grid
+from models.trials.recordings.assembly import assemble_trial, time_grid
 from models.trials.recordings.frames import align_markers
 from models.trials.recordings.mapping import BASE_MARKERS, MocapFrame, RecordingMap
 from models.trials.recordings.series import Series, marker_columns
@@ -17,15 +17,6 @@ from tests.models.trials.recordings.written_takes import WrittenTake, rigid_tria
 
 STEP_S = 0.017
 MAP = RecordingMap(trial=CONDITIONS | {"dof": 1, "motion": "other"})
-
-
-# --- values in the rows ---------------------------------------------------------------------------
-
-
-def test_an_occlusion_is_not_spread_to_measured_samples():
-    values = np.array([0.0, 1.0, np.nan, 3.0, 4.0, 5.0])
-    out = resample(np.arange(6.0), values, np.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5]))
-    assert np.isnan(out).tolist() == [False, False, True, True, True, False, False]
 
 
 # --- times of the rows ----------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 import functools
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from models.rig.protocol import TrialCase, run_case
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.pipeline import Inspection
 from models.trials.recordings.mapping import Take, read_mapping
+from tests.models.made_trials import with_columns
 from tests.models.trials.recordings.written_takes import ORIGIN_M, REST, WrittenTake, rigid_trial
 
 
@@ -83,7 +83,7 @@ def signals(**functions):
 
     def change(trial):
         changed = {n: f(trial.columns[n]) for n, f in functions.items()}
-        return replace(trial, columns=trial.columns | changed)
+        return with_columns(trial, **changed)
 
     return {"signals": change}
 

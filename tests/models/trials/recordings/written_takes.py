@@ -20,14 +20,14 @@ import tomli_w
 from scipy.interpolate import CubicSpline
 
 from firmware_py.config import RobotConfig
-from firmware_py.core.signals import PERIOD_S, trial_signals
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.log.sinks import McapSink, TickEncoder
-from models.shared.kinematics import base_corners_m, base_rotation
-from models.trials.recordings.frames import nominal_markers_m
+from models.shared.kinematics import base_corners_m
 from models.trials.recordings.mapping import BASE_MARKERS
-from models.trials.trial import LINK_CONDITIONS, Array, Trial, TrialMeta
+from models.trials.trial import LINK_CONDITIONS, Array, Trial
+from tests.models import made_trials
 
 RATE_HZ: Final = 120.0
 NOISE_M: Final = 1.5e-4
@@ -234,16 +234,8 @@ REST = 60
 
 def rigid_trial(angle_rad: Array) -> Trial:
     """Trial of a link that does not bend."""
-    dof = angle_rad.shape[1]
-    meta = TrialMeta(
-        dof=dof, payload_kg=1.0, pressure_pa=41300.0, trial=1, motion="test", source="rig",
-        period_s=2.0, amplitude_rad=0.5, base_offset_m=0.06, link_length_m=0.95,
-        link_width_m=0.15, rest_samples=REST,
-    )  # fmt: skip
-    markers_m = np.einsum("nij,kj->nki", base_rotation(angle_rad), nominal_markers_m(meta))
-    joints = np.stack([angle_rad, angle_rad, -2 * angle_rad], axis=2).reshape(len(angle_rad), -1)
-    time_s = 0.017 * np.arange(len(angle_rad))
-    tip_m = markers_m[:, 12:].mean(axis=1)
-    samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
-    names = [s.name for s in trial_signals(dof)]
-    return Trial("rigid", meta, dict(zip(names, samples.T, strict=True)))
+    trial = made_trials.rigid_trial(
+        angle_rad, name="rigid", motion="test", source="rig", period_s=2.0, rest_samples=REST
+    )
+    currents_a = {f"current_{j}_a": -2 * angle for j, angle in enumerate(angle_rad.T, start=1)}
+    return made_trials.with_columns(trial, **currents_a)
