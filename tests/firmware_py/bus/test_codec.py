@@ -1,7 +1,5 @@
 """The codec against the official SDK, byte by byte, and against noise."""
 
-from __future__ import annotations
-
 import dynamixel_sdk as sdk
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
