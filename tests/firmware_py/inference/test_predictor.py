@@ -207,7 +207,7 @@ def test_each_cause_is_counted_apart():
     innovation = InputRange("innovation_1_a", 0.0, 0.1, (None, 0.15))
     count = RangeCount((bend, innovation))
     narrow, wide = np.full(3, 0.004), np.array([0.004, 0.0, 0.023])
-    count.add(np.array([0.2, 0.05]), narrow)
+    count.add(np.array([-0.2, 0.05]), narrow)
     count.add(np.array([0.0, 0.4]), wide)
     count.add(np.array([0.0, 0.01]), wide, age_s=0.034)
     count.add(np.array([0.0, 0.01]), 2 * wide)
@@ -215,7 +215,7 @@ def test_each_cause_is_counted_apart():
     count.add(np.array([np.nan, 0.01]), narrow)
     reasons = count.reasons()
     rows = [(row.name, row.ticks, row.extreme) for row in reasons.inputs]
-    assert rows == [("bend_1_rad", 1, 0.2), ("innovation_1_a", 1, 0.4)]
+    assert rows == [("bend_1_rad", 1, -0.2), ("innovation_1_a", 1, 0.4)]
     assert (reasons.wide_ticks, reasons.late_ticks, reasons.other_ticks) == (2, 1, 2)
     assert reasons.widest_m == 0.046
     note = reasons.note.replace("\u00a0", " ")
