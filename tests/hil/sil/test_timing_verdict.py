@@ -289,8 +289,16 @@ def test_a_stop_for_stale_data_is_excused_only_if_the_host_delayed_every_reply(
     assert judge_timing(records, 0.017, loop, line, **why).verdict == "fail"
 
 
-@pytest.mark.parametrize("why", [{}, {"stopped": "why"}, {"interrupted": "x"}])
-@pytest.mark.parametrize(("busy_ns", "steal_ns"), [(MS, 0), (22 * MS, 0), (22 * MS, 20 * MS)])
+@pytest.mark.parametrize(
+    ("busy_ns", "steal_ns", "why"),
+    [
+        (MS, 0, {}),
+        (MS, 0, {"stopped": "why"}),
+        (MS, 0, {"interrupted": "x"}),
+        (22 * MS, 0, {}),
+        (22 * MS, 20 * MS, {}),
+    ],
+)
 def test_junit_has_the_same_verdict(busy_ns, steal_ns, why):
     records = slow_run(busy_ns)
     records["steal_ns"][500] = steal_ns
