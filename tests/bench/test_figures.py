@@ -46,19 +46,14 @@ def test_a_part_that_fails_says_so_and_the_others_are_written(pages, capsys):
     assert capsys.readouterr().out in readme
 
 
+def test_readme_states_the_measured_figures():
+    document = json.loads(figures.DOCUMENT.read_text(encoding="utf-8"))
+    assert figures.readme_block(document) in figures.README.read_text(encoding="utf-8")
+
+
 def test_a_part_by_name_is_printed_and_nothing_is_written(pages, capsys):
     assert main(["--only", "adds"]) == 0
     assert "2" in capsys.readouterr().out
-    assert not (pages / "figures.md").exists() and (pages / "README.md").read_text() == README
-
-
-def test_a_run_that_is_stopped_writes_nothing(pages, monkeypatch):
-    def stopped(out):
-        raise KeyboardInterrupt
-
-    monkeypatch.setitem(figures.PARTS, "fails", Part("Not", stopped))
-    with pytest.raises(KeyboardInterrupt):
-        main([])
     assert not (pages / "figures.md").exists() and (pages / "README.md").read_text() == README
 
 

@@ -1,7 +1,6 @@
 """Library: its names, what they show of themselves, and what they say without the workshop."""
 
 import importlib
-import inspect
 import math
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 
 import dropstitch
 
-NAMES = [name for name in dropstitch.__all__ if name != "__version__"]
 BUNDLE = Path(__file__).parents[2] / "docs" / "notebooks" / "bundle_1dof"
 
 
@@ -19,14 +17,6 @@ def test_every_name_is_there():
         assert hasattr(dropstitch, name), name
     assert set(dir(dropstitch)) == set(dropstitch.__all__)
     assert dropstitch.read_plant is importlib.import_module("models.plant.plant").read_plant
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_name_is_described_with_an_example(name):
-    text = inspect.getdoc(getattr(dropstitch, name)) or ""
-    assert ">>> " in text
-    function = inspect.isfunction(getattr(dropstitch, name))
-    assert not function or "Parameters\n----------" in text
 
 
 def test_a_name_that_is_not_listed_is_no_attribute():

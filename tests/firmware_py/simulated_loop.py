@@ -58,7 +58,23 @@ class Bus:
         self.calls.append("close")
 
 
+class Steps(NoEstimator):
+    """Notes the time between the samples that it gets, and counts them in DI."""
+
+    waits_for_fresh = True
+
+    def __init__(self):
+        self.steps_s = []
+
+    def update(self, angle_rad, current_a, step_s):
+        self.steps_s.append(step_s)
+        estimate = super().update(angle_rad, current_a, step_s)
+        return estimate._replace(di=float(len(self.steps_s)))
+
+
 class StillPredictor:
+    wanted = ()
+
     def __init__(self):
         self.prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
         self.fail_at, self.calls = None, 0
@@ -84,8 +100,8 @@ class Sent:
         return np.frombuffer(b"".join(self.parts), self.dtype)
 
 
-def make(goals=GOALS, *, slots=None, bus=None, estimator=None, keep=4096, **options):
-    clock = SimClock(123)
+def make(goals=GOALS, *, slots=None, bus=None, estimator=None, keep=4096, clock=None, **options):
+    clock = clock or SimClock(123)
     bus = bus(clock) if bus else Bus(clock, goals.shape[1])
     supervisor = SafetySupervisor(Limits(), goals.shape[1])
     predictor, telemetry = StillPredictor(), Sent(goals.shape[1])

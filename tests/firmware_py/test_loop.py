@@ -34,7 +34,7 @@ from tests.firmware_py.simulated_loop import (
     Bus,
     LeapingClock,
     PluggedBus,
-    StillPredictor,
+    Steps,
     leaning,
     make,
 )
@@ -94,44 +94,20 @@ def test_the_bus_gets_the_rest_of_its_budget():
 
 def test_stale_data_degrades_and_three_in_a_row_stop_the_robot():
     loop, bus, *_ = make()
-    bus.script = {50: BusStatus.TIMEOUT, 51: BusStatus.CORRUPT} | dict.fromkeys(
-        range(100, 103), BusStatus.TIMEOUT
-    )
+    bus.script = {20: BusStatus.RETRIED, 50: BusStatus.TIMEOUT, 51: BusStatus.CORRUPT}
+    bus.script |= dict.fromkeys(range(100, 103), BusStatus.TIMEOUT)
     summary = loop.run()
     rows = summary.records
     running, degraded, stopping = SafetyState.RUNNING, SafetyState.DEGRADED, SafetyState.STOPPING
+    assert (rows["state"][20], rows["stale_ticks"][20]) == (running, 0), "a second read is fresh"
     assert rows["state"][49:54].tolist() == [running, degraded, degraded, running, running]
     assert rows["stale_ticks"][50:53].tolist() == [1, 2, 0]
     assert rows["angle_1_rad"][50] == rows["angle_1_rad"][49], "the last good value, not zero"
     assert rows["state"][101:104].tolist() == [degraded, stopping, stopping]
     assert summary.ended is Ended.TRIPPED
     assert "no fresh data for 3 ticks" in summary.reason
-    assert summary.bus_faults == {"timeout": 4, "corrupt": 1}
+    assert summary.bus_faults == {"retried": 1, "timeout": 4, "corrupt": 1}
     assert not bus.driven
-
-
-def test_data_of_a_second_read_is_fresh_and_counted():
-    loop, bus, *_ = make()
-    bus.script = dict.fromkeys(range(50, 60), BusStatus.RETRIED)
-    summary = loop.run()
-    rows = summary.records
-    assert summary.ended is Ended.FINISHED
-    assert np.all(rows["state"][50:60] == SafetyState.RUNNING)
-    assert np.all(rows["stale_ticks"] == 0)
-    assert summary.bus_faults == {"retried": 10}
-
-
-class Steps(NoEstimator):
-    """Notes the time between the samples that it gets."""
-
-    waits_for_fresh = True
-
-    def __init__(self):
-        self.steps_s = []
-
-    def update(self, angle_rad, current_a, step_s):
-        self.steps_s.append(step_s)
-        return super().update(angle_rad, current_a, step_s)
 
 
 class LateBus(Bus):
@@ -217,20 +193,6 @@ def test_a_port_that_goes_during_the_approach_lets_the_robot_go_on():
     assert np.abs(np.diff(goals)).max() < 0.02
 
 
-def test_an_alert_in_the_answer_to_torque_off_is_no_success():
-    loop, bus, *_ = make(slots=5)
-    torque = bus.torque
-
-    def with_alert(on):
-        bus.alert = 0 if on else 0b1000
-        return torque(on)
-
-    bus.torque = with_alert
-    summary = loop.run()
-    assert (summary.ended, summary.released) == (Ended.TRIPPED, True)
-    assert "motor encoder" in summary.reason.split("; then ")[1]
-
-
 @pytest.mark.parametrize("place", ["read", "predict", "estimate"])
 @pytest.mark.parametrize("error", [RuntimeError("bug"), KeyboardInterrupt(), SystemExit(1)])
 def test_whatever_is_raised_leaves_no_servo_driven(place, error):
@@ -284,22 +246,13 @@ def test_an_error_of_the_program_says_that_the_torque_was_not_confirmed_off():
     ("by_s", "reason"), [(3600, "slots missed in a row"), (-3600, "the clock was set back")]
 )
 def test_a_clock_that_leaps_stops_the_robot_in_its_own_time(by_s, reason):
-    clock = LeapingClock()
-    bus, steps_s = Bus(clock), []
-
-    class Listening(NoEstimator):
-        def update(self, angle_rad, current_a, step_s):
-            steps_s.append(step_s)
-            return Estimate(0.0, 0.0)
-
+    clock, estimator = LeapingClock(), Steps()
     clock.at_ns, clock.by_ns = 2_000_000_000, by_s * 1_000_000_000
-    loop = ControlLoop(
-        bus, Listening(), StillPredictor(), SafetySupervisor(Limits(), 1), GoalTable(GOALS), clock
-    )
+    loop, bus, *_ = make(estimator=estimator, clock=clock)
     summary = loop.run()
     assert (summary.ended, reason in summary.reason) == (Ended.TRIPPED, True)
     assert not bus.driven
-    assert max(steps_s) < 2.0, "no estimator has to make up for an hour"
+    assert max(estimator.steps_s) < 2.0, "no estimator has to make up for an hour"
     assert abs(clock.now_ns() * 1e-9 - by_s) < 5.0, "nor does the loop wait for one"
 
 
@@ -346,13 +299,23 @@ STOP_SLOT = 100
 HOLD_TICKS = math.ceil(Limits().hold_s / 0.017)
 
 
-def test_a_servo_that_does_not_confirm_torque_off_is_no_success():
+@pytest.mark.parametrize(
+    ("status", "alert", "released", "words"),
+    [(BusStatus.TIMEOUT, 0, False, UNRELEASED), (BusStatus.OK, 0b1000, True, "motor encoder")],
+    ids=["unconfirmed", "alert"],
+)
+def test_a_servo_that_does_not_confirm_torque_off_is_no_success(status, alert, released, words):
     loop, bus, *_ = make(slots=5)
     torque = bus.torque
-    bus.torque = lambda on: torque(on) if on else BusStatus.TIMEOUT
+
+    def switched(on):
+        bus.alert = 0 if on else alert
+        return torque(on) if on else status
+
+    bus.torque = switched
     summary = loop.run()
-    assert (summary.ended, summary.released) == (Ended.TRIPPED, False)
-    assert summary.reason.split("; then ")[1:] == [UNRELEASED]
+    assert (summary.ended, summary.released) == (Ended.TRIPPED, released)
+    assert words in summary.reason.split("; then ")[1]
 
 
 @pytest.mark.parametrize(

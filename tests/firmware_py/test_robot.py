@@ -2,31 +2,19 @@
 
 import contextlib
 
-import msgspec
 import numpy as np
 import pytest
 
 from firmware_py.bus.loopback import LoopbackTransport
-from firmware_py.commands.replay import compare
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig, read_config
 from firmware_py.core.errors import InputError
-from firmware_py.core.signals import PERIOD_S, tip_names
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.fmu_instance import FmuInstance
-from firmware_py.log.recording import Recording
 from firmware_py.robot import NoModels, build_bus, build_loop, load_bundle
 from firmware_py.safety.limits import Limits
 from firmware_py.system.clock import SimClock
-
-CONFIG = """
-bundle = "{bundle}"
-{payload}
-[bus]
-port = "unix:line"
-[[servos]]
-id = 1
-model = "H54-200-S500-R"
-"""
+from tests.firmware_py.test_config import MINIMAL
 
 
 @pytest.fixture
@@ -36,8 +24,8 @@ def load(observer_bundle, tmp_path):
     def load(payload_kg=None):
         path = tmp_path / "robot.toml"
         payload = "" if payload_kg is None else f"payload_kg = {payload_kg}"
-        text = CONFIG.format(bundle=observer_bundle, payload=payload)
-        path.write_text(text, encoding="utf-8")
+        text = MINIMAL.replace('"bundle"', f'"{observer_bundle}"')
+        path.write_text(payload + text, encoding="utf-8")
         config = read_config(path)
         return config, load_bundle(config, path)
 
@@ -88,29 +76,6 @@ def test_an_unknown_payload_is_estimated(load, toy_bundle):
 def test_more_than_the_observer_takes_is_refused(load):
     with pytest.raises(InputError, match=r"^payload_kg: is 50\.0.*leave it out"):
         load(50.0)
-
-
-@pytest.mark.parametrize("payload_kg", [None, 2.0])
-def test_a_replay_assumes_what_the_run_assumed(load, payload_kg):
-    config, bundle = load(payload_kg)
-    angle_rad, current_a = motion()
-    bundle.estimator.reset()
-    estimated, tips_m = [], []
-    for q, i in zip(angle_rad, current_a, strict=True):
-        estimated.append(bundle.estimator.update(q, i, PERIOD_S)[:2])
-        tips_m.append(bundle.predictor.predict(q, i, estimated[-1][0]).tip_m)
-    answered = np.array(estimated)
-    columns = {
-        "angle_1_rad": angle_rad[:, 0],
-        "current_1_a": current_a[:, 0],
-        "missed": np.zeros(len(angle_rad), int),
-        "di": answered[:, 0],
-        "payload_kg": answered[:, 1],
-    } | dict(zip(tip_names("predicted_"), np.transpose(tips_m), strict=True))
-    config = msgspec.json.encode(config).decode()
-    metadata = {"dof": "1", "period_s": str(PERIOD_S), "config": config}
-    log = Recording(columns, metadata, complete=True)
-    assert set(compare(log, ModelBundle.load(bundle.directory)).values()) == {0.0}
 
 
 # --- bus and loop from the configuration ---------------------------------------------------------

@@ -50,6 +50,17 @@ def instance(archive):
         yield instance
 
 
+@pytest.fixture
+def moving(archive):
+    """An instance for Co-Simulation in motion, within the saturation."""
+    with archive.instance() as instance:
+        instance.initialize({"torque_nm": 2.5})
+        for _ in range(20):
+            instance.step(PERIOD_S)
+        instance.set({"torque_nm": 1.5})
+        yield instance
+
+
 @pytest.fixture(scope="session")
 def toy_fmu_3(toy, tmp_path_factory):
     return build_fmu(toy, tmp_path_factory.mktemp("toy") / "pendulum.fmu", fmi=3)

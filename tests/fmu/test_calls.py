@@ -6,7 +6,6 @@ import math
 import platform
 from concurrent.futures import ThreadPoolExecutor
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
@@ -19,11 +18,7 @@ from firmware_py.core.signals import PERIOD_S
 from firmware_py.inference.fmu_instance import FmuInstance
 from fmu.fmu_checker import exported_functions, varying_steps_s
 from models.plant.step_model import names
-
-
-def _inputs(count):
-    time_s = PERIOD_S * np.arange(count)
-    return np.column_stack([2.0 * np.sin(3.0 * time_s), 0.5 + 0.5 * np.cos(time_s)])
+from tests.fmu.toy import moving_inputs
 
 
 def _refuses(instance, call, *words):
@@ -55,27 +50,10 @@ def test_a_machine_without_a_library_gets_one_sentence(archive, monkeypatch):
 # ---- Values -------------------------------------------------------------------------------------
 
 
-def test_fmpys_own_simulation_equals_the_interpreted_model(toy_fmu, toy):
-    """Through FMPy's simulate_fmu, not our stepper, with its input interpolation and recorder."""
-    count = 300
-    u = _inputs(count)
-    signals = np.zeros(count, dtype=[(n, "f8") for n in ("time", *names(toy.inputs))])
-    signals["time"] = PERIOD_S * np.arange(count)
-    for k, name in enumerate(names(toy.inputs)):
-        signals[name] = u[:, k]
-    result = fmpy.simulate_fmu(
-        str(toy_fmu), stop_time=(count - 1) * PERIOD_S, step_size=PERIOD_S,
-        output_interval=PERIOD_S, input=signals, output=names(toy.outputs), set_stop_time=True,
-    )  # fmt: skip
-    expected = toy.simulate(u[:-1], PERIOD_S)
-    for k, name in enumerate(names(toy.outputs)):
-        np.testing.assert_allclose(result[name].astype(float), expected[:, k], atol=1e-9, rtol=0)
-
-
 def test_varying_steps_and_parameters_equal_the_interpreted_model(instance, toy):
     """Also a parameter that is tuned between two steps."""
     changes = {"length_m": 1.1, "damping_nms_rad": 0.05, "rest_rad": -0.4}
-    u, steps_s = _inputs(200), varying_steps_s(200)
+    u, steps_s = moving_inputs(200), varying_steps_s(200)
     instance.set({f"parameters.{name}": value for name, value in changes.items()})
     instance.initialize(dict(zip(names(toy.inputs), u[0], strict=True)))
     p = toy.parameter_values(changes)
@@ -89,16 +67,6 @@ def test_varying_steps_and_parameters_equal_the_interpreted_model(instance, toy)
         x = toy.advance(x, u[k], p, step_s)
         expected = np.asarray(toy.output(x, u[k], p)).ravel()
         np.testing.assert_allclose(instance.get(names(toy.outputs)), expected, atol=1e-9, rtol=0)
-
-
-def test_outputs_follow_inputs_between_steps_and_at_the_start(instance):
-    instance.initialize()
-    instance.set({"payload_kg": 1.5})
-    assert instance.get(["mass_kg"]) == 1.5
-    instance.fmu.reset()
-    instance.set({"parameters.rest_rad": 0.9, "payload_kg": 0.0})
-    instance.initialize()
-    assert instance.get(["tip_x_m"])[0] == pytest.approx(0.8 * math.sin(0.9), abs=1e-12)
 
 
 def test_instances_in_threads_run_as_they_do_alone(archive):
@@ -128,7 +96,9 @@ def test_a_tick_of_the_robot_equals_set_step_and_get(toy_fmu_3, toy):
     inputs, outputs = names(toy.inputs), names(toy.outputs)
     with FmuInstance(toy_fmu_3) as ticking, FmuInstance(toy_fmu_3) as stepping:
         tick = ticking.tick_channel(inputs, outputs)
-        for u, step_s in zip(_inputs(20), [0.0, 0.0, PERIOD_S, 0.0, *[0.01] * 16], strict=True):
+        for u, step_s in zip(
+            moving_inputs(20), [0.0, 0.0, PERIOD_S, 0.0, *[0.01] * 16], strict=True
+        ):
             tick.inputs[:] = u
             tick.run(step_s)
             stepping.set(inputs, u)

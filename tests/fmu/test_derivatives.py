@@ -4,23 +4,11 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from firmware_py.core.signals import PERIOD_S
 from fmu.interface import interface_of
 from models.plant.step_model import names
 
 STEP = 1e-6
 """Step of a central difference; its error is of the order of 1e-10."""
-
-
-@pytest.fixture
-def moving(archive):
-    """An instance for Co-Simulation in motion, within the saturation."""
-    with archive.instance() as instance:
-        instance.initialize({"torque_nm": 2.5})
-        for _ in range(20):
-            instance.step(PERIOD_S)
-        instance.set({"torque_nm": 1.5})
-        yield instance
 
 
 def references(archive, wanted):

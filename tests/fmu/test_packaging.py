@@ -27,8 +27,10 @@ from fmu.packaging import (
     universal_library,
 )
 from models.plant.step_model import names
+from tests.fmu.toy import moving_inputs
 
 EPOCH_S = 1_790_000_000
+INPUTS = moving_inputs(60)
 X86_64, ARM64, DYLIB, MACH_O = 0x01000007, 0x0100000C, 6, 0xFEEDFACF
 """Processors, file type and magic number of Mach-O (Apple, mach/machine.h, mach-o/loader.h)."""
 
@@ -105,24 +107,19 @@ def test_a_universal_library_holds_each_slice_on_a_page_of_its_own():
         assert offset % 2**align == 0
 
 
-def _inputs(count=60):
-    time_s = PERIOD_S * np.arange(count)
-    return np.column_stack([2.0 * np.sin(3.0 * time_s), 0.5 + 0.5 * np.cos(time_s)])
-
-
 def test_the_c_host_steps_the_library_of_this_machine(toy, toy_fmu_3, tmp_path):
     with zipfile.ZipFile(toy_fmu_3) as archive:
         binaries = [name for name in archive.namelist() if name.startswith("binaries/")]
     assert binaries == ["binaries/x86_64-linux/pendulum.so"]
     shown = [name for name in names(toy.outputs) if name != "in_range"]
-    *lines, step_us = run_in_host(toy_fmu_3, HOST, _inputs(), PERIOD_S, shown, tmp_path, rounds=2)
+    *lines, step_us = run_in_host(toy_fmu_3, HOST, INPUTS, PERIOD_S, shown, tmp_path, rounds=2)
     rows = [names(toy.outputs).index(name) for name in shown]
-    expected = toy.simulate(_inputs(), PERIOD_S)[:, rows]
+    expected = toy.simulate(INPUTS, PERIOD_S)[:, rows]
     values = np.array([line.split() for line in lines], dtype=float)
     np.testing.assert_allclose(values, expected, atol=1e-12, rtol=0)
     assert float(step_us) > 0
     with pytest.raises(InputError, match="cannot be run here"):
-        run_in_host(toy_fmu_3, "aarch64-darwin", _inputs(), PERIOD_S, ["steps"], tmp_path)
+        run_in_host(toy_fmu_3, "aarch64-darwin", INPUTS, PERIOD_S, ["steps"], tmp_path)
 
 
 @pytest.mark.parametrize("platform", ["aarch64-linux", "x86_64-windows"])
@@ -133,12 +130,12 @@ def test_another_platform_prints_the_same_digits(toy, toy_fmu_3, tmp_path, platf
     fmu = build_fmu(toy, tmp_path / "both.fmu", platforms=(HOST, platform))
     shown = [name for name in names(toy.outputs) if name != "in_range"]
     here, there = (
-        run_in_host(fmu, name, _inputs(), PERIOD_S, shown, tmp_path) for name in (HOST, platform)
+        run_in_host(fmu, name, INPUTS, PERIOD_S, shown, tmp_path) for name in (HOST, platform)
     )
     assert there == here
-    assert len(here) == len(_inputs()) + 1
+    assert len(here) == len(INPUTS) + 1
     with pytest.raises(InputError, match=f"no library for {platform}"):
-        run_in_host(toy_fmu_3, platform, _inputs(), PERIOD_S, shown, tmp_path)
+        run_in_host(toy_fmu_3, platform, INPUTS, PERIOD_S, shown, tmp_path)
 
 
 # ---- Source code --------------------------------------------------------------------------------

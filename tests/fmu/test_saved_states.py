@@ -12,18 +12,8 @@ from firmware_py.core.signals import PERIOD_S
 OUTPUTS = ["time", "tip_x_m", "tip_z_m", "torque_filtered_nm", "steps"]
 
 
-@pytest.fixture
-def instance(archive):
-    """An instance in motion, with outputs that are calculated."""
-    with archive.instance() as instance:
-        instance.initialize({"torque_nm": 2.5})
-        for _ in range(20):
-            instance.step(PERIOD_S)
-        instance.get(OUTPUTS)
-        yield instance
-
-
 def _serialized(instance):
+    instance.get(OUTPUTS)  # calculated, they are part of the state
     state = instance.fmu.getFMUState()
     data = instance.fmu.serializeFMUState(state)
     instance.fmu.freeFMUState(state)
@@ -47,13 +37,13 @@ def _go_on(instance):
     return np.array(rows)
 
 
-def test_every_flipped_bit_is_noticed(instance, archive):
-    data, time_s = _serialized(instance), instance.time_s
+def test_every_flipped_bit_is_noticed(moving, archive):
+    data, time_s = _serialized(moving), moving.time_s
     for bit in range(8 * len(data)):
         wrong = bytearray(data)
         wrong[bit // 8] ^= 1 << bit % 8
-        assert "saved state" in _refused(instance, bytes(wrong))
-    expected = _go_on(instance)
+        assert "saved state" in _refused(moving, bytes(wrong))
+    expected = _go_on(moving)
     with archive.instance() as other:
         other.fmu.setFMUState(other.fmu.deserializeFMUState(data))
         other.time_s = time_s
@@ -83,17 +73,15 @@ def _forged(data, old, new):
         ("parameters.length_m", -5.0, "parameters.length_m = -5 lies outside"),
     ],
 )  # fmt: skip
-def test_a_state_with_a_fitting_hash_needs_finite_values_within_bounds(
-    instance, name, value, words
-):
-    data = _serialized(instance)
-    old = float(instance.get([name])[0])
-    instance.fmu.deserializeFMUState(_forged(data, old, old))
-    assert words in _refused(instance, _forged(data, old, value))
-    _go_on(instance)
+def test_a_state_with_a_fitting_hash_needs_finite_values_within_bounds(moving, name, value, words):
+    data = _serialized(moving)
+    old = float(moving.get([name])[0])
+    moving.fmu.deserializeFMUState(_forged(data, old, old))
+    assert words in _refused(moving, _forged(data, old, value))
+    _go_on(moving)
 
 
-def test_a_state_without_a_mode_is_refused(instance):
-    data = _serialized(instance)
+def test_a_state_without_a_mode_is_refused(moving):
+    data = _serialized(moving)
     content = data[8:-16] + struct.pack("<iiii", 3, 0, 1, 0)
-    assert "saved state" in _refused(instance, struct.pack("<Q", _hash(content)) + content)
+    assert "saved state" in _refused(moving, struct.pack("<Q", _hash(content)) + content)

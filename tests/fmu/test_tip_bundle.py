@@ -45,10 +45,7 @@ def test_the_bundle_says_what_was_compared_and_why(trained):
     card = (bundle / "MODEL_CARD.md").read_text()
     assert document.reason in card and "left out in turn" in card
     for entry in document.candidates.values():
-        assert entry.graph_bytes > 0
-        assert min(entry.latency.warm_s, entry.latency.cold_s) > 0
         assert {"stiffness_x_0.8", "stiffness_x_1.2"} < set(entry.tests)
-    assert document.runtimes == {} and "warm / cold" in card
     assert "study.json" not in read_manifest(bundle).files  # without --study
 
 

@@ -4,10 +4,12 @@ A damped pendulum driven by a torque that saturates; a counter of steps and the 
 discrete.
 """
 
-from __future__ import annotations
+import zipfile
 
 import casadi as ca
+import numpy as np
 
+from firmware_py.core.signals import PERIOD_S
 from models.plant.step_model import StepModel, Variable
 
 LIMIT_NM = 4.0
@@ -68,3 +70,20 @@ def pendulum(name: str = "pendulum") -> StepModel:
         max_substep_s=2e-3,
         rate=ca.Function("rate", [x, u, p], [rate_now]),
     )
+
+
+def moving_inputs(count):
+    """Torques and payloads that move the pendulum, shape (count, 2)."""
+    time_s = PERIOD_S * np.arange(count)
+    return np.column_stack([2.0 * np.sin(3.0 * time_s), 0.5 + 0.5 * np.cos(time_s)])
+
+
+def rewritten(source, target, change):
+    """Copy of an FMU with `change` applied to its files (name to bytes)."""
+    with zipfile.ZipFile(source) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    change(files)
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return target

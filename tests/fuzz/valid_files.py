@@ -17,12 +17,11 @@ from rosbags.typesys import Stores, get_typestore
 from firmware_py.config import RobotConfig
 from firmware_py.core.signals import PERIOD_S, tick_dtype
 from firmware_py.goals.goal_channel import GoalMessage, encode_goal
-from firmware_py.goals.goal_map import GoalMap, PayloadMap
 from firmware_py.inference.manifest import MANIFEST
 from firmware_py.link.link_description import STUDY_LINK, link_toml
-from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.log.sinks import TickEncoder
 from models.commands.sign import SIGNATURE, sign_bundle
+from tests.firmware_py.goals.scripted_program import linear_map
 from tests.firmware_py.goals.small_plan import small_plan
 from tests.models.trials.recordings.written_takes import (
     ROBOT,
@@ -187,17 +186,8 @@ def link():
 
 
 def goal_map():
-    """Map of a rigid link of 1 m at three places, for two payloads."""
-    places_m = (-0.5, 0.0, 0.5)
-    payloads = tuple(
-        PayloadMap(
-            payload_kg=kg, goals_rad=((-0.52, 0.0, None),), half_period_s=(0.2,), decay=(0.9,)
-        )
-        for kg in (0.0, 1.0)
-    )
-    own = GoalMap(schema=1, dof=1, period_s=0.017, places_m=places_m, payloads=payloads,
-                  plant_sha256="", link=STUDY_FACTS)  # fmt: skip
-    return msgspec.json.encode(own)
+    """Map of a rigid link of 1 m, for two payloads, with places out of reach."""
+    return msgspec.json.encode(linear_map(gap=True))
 
 
 def goal_message():

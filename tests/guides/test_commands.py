@@ -1,10 +1,4 @@
-"""Commands of the guides that are quick, run as they stand on small data.
-
-That every command of every page is accepted by its own parser, and finds its files, is
-`tests/house/test_page_commands.py`.
-"""
-
-from __future__ import annotations
+"""Commands of the guides that are quick, run as they stand on small data."""
 
 import argparse
 import shlex

@@ -1,7 +1,5 @@
 """Notebooks: committed with outputs, small, and every cell runs."""
 
-from __future__ import annotations
-
 import json
 
 import nbformat

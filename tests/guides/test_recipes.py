@@ -1,7 +1,5 @@
 """Recipes of docs/guides/extend.md, run as they are printed."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from pathlib import Path

@@ -4,8 +4,6 @@ The notebooks are run by test_notebooks.py, in one process, and by `make docs`; 
 only drawn.
 """
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Plant without a compiler: every joint follows its goal like a first-order lag."""
 
-from __future__ import annotations
-
 import math
 
 import dynamixel_sdk as sdk

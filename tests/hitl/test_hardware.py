@@ -7,7 +7,6 @@ import pytest
 from firmware_py.bus.registers import POSITION_MODE, Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import model_named
-from firmware_py.core.errors import InputError
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended
 from tests.hitl.conftest import AMPLITUDE_RAD, RATE_RAD_S, REACH_RAD
@@ -76,19 +75,6 @@ def test_a_servo_without_instructions_stops_at_its_watchdog(hardware):
         assert set(hardware.registers(Register.BUS_WATCHDOG)) == {TRIPPED}
         assert bus.torque(False) is BusStatus.OK
     assert set(hardware.registers(Register.BUS_WATCHDOG)) == {0}
-
-
-def test_a_servo_that_is_not_there_is_named(hardware):
-    present = hardware.config
-    stranger = msgspec.structs.replace(
-        present.servos[0], id=max(s.id for s in present.servos) + 100
-    )
-    hardware.config = msgspec.structs.replace(present, servos=(stranger,))
-    try:
-        with hardware.bus() as bus, pytest.raises(InputError, match=f"servo {stranger.id} "):
-            bus.connect()
-    finally:
-        hardware.config = present
 
 
 # --- loop ---------------------------------------------------------------------------------------

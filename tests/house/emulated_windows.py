@@ -5,8 +5,6 @@ taken away, and the rooms are loaded again. Prints JSON: errors of imports by mo
 `--help` and exit code and stderr of the commands that need Linux.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io
@@ -31,12 +29,6 @@ ABSENT_IN_OS = (
     "WIFSIGNALED", "WTERMSIG",
 )  # fmt: skip
 ABSENT_IN_SOCKET = ("AF_UNIX", "MSG_NOSIGNAL", "SOCK_SEQPACKET", "socketpair")
-LINUX_ONLY = (
-    "run --config robot.toml", "release --config robot.toml", "doctor", "bench",
-    "install-service --config robot.toml", "emulate --plant plant.json",
-    "sil --bundle bundle --out out", "faults --bundle bundle --out out",
-    "campaign spec.toml --out out",
-)  # fmt: skip
 
 
 def modules() -> list[str]:
@@ -88,7 +80,11 @@ def main() -> None:
     imports = errors_of_imports()
     rows = importlib.import_module("firmware_py.commands.command_table").COMMANDS
     helps = {row.name: call(f"{row.name} --help") for row in rows}
-    refusals = {line: call(line) for line in LINUX_ONLY}
+    examples = {row.name: importlib.import_module(row.module).EXAMPLE for row in rows}
+    refusals = {
+        row.name: call(examples[row.name].partition("dropstitch ")[2])
+        for row in rows if row.linux_only
+    }  # fmt: skip
     print(json.dumps({"imports": imports, "helps": helps, "refusals": refusals}))
 
 

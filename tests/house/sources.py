@@ -1,7 +1,5 @@
 """Sources of the project, and their syntax trees."""
 
-from __future__ import annotations
-
 import ast
 import functools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every package that a room imports is declared where the room is installed from."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """Examples of docstrings, run as they stand."""
 
-from __future__ import annotations
-
 import doctest
 import functools
 import importlib

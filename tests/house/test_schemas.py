@@ -1,13 +1,10 @@
 """Schemas: `docs/schema/` holds those of the documents as the code has them, and of every one."""
 
-from __future__ import annotations
-
 import ast
-import json
 
 import pytest
 
-from hil.document_schemas import DOCUMENTS, main, schema_files
+from hil.document_schemas import DOCUMENTS, main
 from tests.house.sources import ROOMS, ROOT, python_files, tree_of
 
 REMEDY = "python -m hil.document_schemas docs/schema"
@@ -37,12 +34,3 @@ def test_every_document_of_the_rooms_has_a_schema():
         found |= more
     parents = {parent for name in found for parent in bases[name]}
     assert found - parents == {kind.__name__ for kind in DOCUMENTS.values()}
-
-
-def test_the_comment_of_a_field_is_its_description():
-    """Beside the field, above it, and in a class that another one extends."""
-    fields = json.loads(schema_files()["timing.schema.json"])["$defs"]["SilEnvironment"]
-    described = {name: f.get("description", "") for name, f in fields["properties"].items()}
-    assert "virtual" in described["line"]
-    assert "plan" in described["goals_note"]
-    assert "release" in described["kernel"]

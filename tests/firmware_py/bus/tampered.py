@@ -62,7 +62,10 @@ class TamperedTransport(LoopbackTransport):
 
 
 def make(*numbers, period_s=0.017, limits=(-0.6, 0.6), transport_type=TamperedTransport, **options):
-    """A bus of servos in memory that is not connected yet, its transport and its clock."""
+    """A bus of servos in memory that is not connected yet, its transport and its clock.
+
+    `limits`: the rest of `ServoSetup`, from the lowest angle on.
+    """
     clock = SimClock()
     models = {id_: MODELS[number] for id_, number in enumerate(numbers, start=1)}
     transport = transport_type(models, clock)
@@ -78,9 +81,9 @@ def flip_payload(data):
     return bytes([*data[:11], data[11] ^ 1, *data[12:]])
 
 
-def with_error(frame, error):
+def with_error(frame, error, at=8):
     """A whole packet with another error byte."""
-    frame = frame[:8] + bytes([error]) + frame[9:-2]
+    frame = frame[:at] + bytes([error]) + frame[at + 1 : -2]
     return frame + codec.crc16(frame).to_bytes(2, "little")
 
 

@@ -11,14 +11,11 @@ from firmware_py.bus.registers import (
     STOPPED_BY_WATCHDOG,
     TORQUE_LOST,
     Register,
-    RegisterField,
     describe_alert,
 )
-from firmware_py.bus.servo_models import MODELS, ServoGains, check_servo, model_named
-from firmware_py.core.errors import InputError
+from firmware_py.bus.servo_models import MODELS, check_servo
 
 models = st.sampled_from(list(MODELS.values()))
-int32 = st.integers(-(2**31), 2**31 - 1)
 EVERY_MODEL = pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
 
 
@@ -35,13 +32,6 @@ def test_a_model_is_whole_and_its_registers_do_not_overlap(model):
     no_load_nm = model.preset.coulomb_friction_nm
     no_load_nm += model.preset.viscous_friction_nm_s_rad * model.preset.speed_limit_rad_s
     assert 0.03 < no_load_nm / model.preset.torque_limit_nm < 0.45  # the rest turns a load
-
-
-@given(int32)
-def test_values_are_little_endian_in_twos_complement(raw):
-    cell = RegisterField(0, 4, True)
-    assert cell.encode(raw) == (raw % 2**32).to_bytes(4, "little")
-    assert cell.decode(b"\0\0" + cell.encode(raw), 2) == raw
 
 
 def test_hardware_errors_are_named_by_bit():
@@ -76,13 +66,3 @@ def test_thirty_degrees_are_as_many_pulses_as_published(number, pulses):
     model = MODELS[number]
     assert model.position_raw(math.radians(30.0)) == pulses
     assert model.position_raw(math.radians(-30.0)) == -pulses
-
-
-def test_only_the_gains_that_are_stated_are_compared():
-    gains = ServoGains(position_p=800, velocity_i=0)
-    assert gains.registers() == {Register.POSITION_P_GAIN: 800, Register.VELOCITY_I_GAIN: 0}
-
-
-def test_an_unknown_model_is_refused_with_the_known_ones():
-    with pytest.raises(InputError, match="XM430-W350"):
-        model_named("H54-200-S500")

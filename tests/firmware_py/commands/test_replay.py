@@ -9,11 +9,10 @@ import pytest
 from firmware_py.commands.replay import compare, find_seams
 from firmware_py.core.signals import PERIOD_S, tip_names
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import Recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.tick_log import LONGEST_STEP_SLOTS
-from tests.firmware_py.simulated_loop import StillPredictor
+from tests.firmware_py.simulated_loop import Steps, StillPredictor
 from tests.firmware_py.test_robot import motion, robot_config
 
 COUNT, GONE = 150, 60
@@ -53,20 +52,15 @@ def test_the_past_before_a_port_that_came_back_is_discarded_as_in_the_run(toy_bu
 
 
 def test_a_leap_of_the_clock_is_the_step_of_the_loop():
-    taken = []
-
-    class Steps(NoEstimator):
-        def update(self, angle_rad, current_a, step_s):
-            taken.append(step_s)
-            return Estimate(0.0, np.nan)
-
+    estimator = Steps()
     missed = np.zeros(COUNT, int)
     missed[70], missed[80] = 4, 10 * LONGEST_STEP_SLOTS
     robot = SimpleNamespace(
-        manifest=SimpleNamespace(dof=1), estimator=Steps(), predictor=StillPredictor(),
+        manifest=SimpleNamespace(dof=1), estimator=estimator, predictor=StillPredictor(),
         assume_payload=lambda payload_kg: None,
     )  # fmt: skip
     compare(log_of(missed=missed), robot)
+    taken = estimator.steps_s
     assert taken[69:72] == pytest.approx([PERIOD_S, 5 * PERIOD_S, PERIOD_S])
     assert taken[80] == pytest.approx(LONGEST_STEP_SLOTS * PERIOD_S)
 

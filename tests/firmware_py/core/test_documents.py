@@ -1,15 +1,13 @@
-"""Documents, output files and units: round trip, refusals, whole or as they were."""
+"""Documents and output files: round trip, refusals, whole or as they were."""
 
 import errno
 import json
-import math
 import os
 import stat
 from pathlib import Path
 
 import pytest
 
-from firmware_py.core import units
 from firmware_py.core.documents import Document, read_document, write_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.output_files import replacing, write_whole
@@ -79,17 +77,3 @@ def test_a_link_stays_a_link_and_a_device_a_device(tmp_path):
     if Path("/dev/full").exists():
         with pytest.raises(OSError, match="/dev/full"):
             write_whole(Path("/dev/full"), b"x")
-
-
-# --- units --------------------------------------------------------------------------------------
-
-
-def test_numbers_are_shown_in_the_unit_with_its_decimals():
-    assert units.LENGTH.text(0.01234) == "12.3\u00a0mm"
-    assert units.LENGTH.text(0.01234, 2) == "12.34\u00a0mm"
-    assert units.FRACTION.text(0.951) == "95\u00a0%"
-    assert units.TICK_TIME.number(17_000_000) == "17.000"
-    assert units.ANGLE.significant(math.pi / 6) == "30\u00a0deg"
-    assert units.LENGTH.label("tip x") == "tip x in mm"
-    assert units.signal_words("angle_1_rad") == "angle 1"
-    assert units.signal_unit("current_1_a").name == "A"

@@ -109,14 +109,6 @@ def test_a_change_of_the_payload_counts_in_the_limits(plan):
     check_plan_goals(alone, limits, "plan")
 
 
-def test_a_known_payload_beyond_the_grid_is_refused(plan):
-    with pytest.raises(InputError, match=r"payload_kg: .*2\.5 kg.* 0 to 2 kg.*--payloads"):
-        PlanGoals(plan, 2.5)
-    alone = msgspec.structs.replace(plan, payloads=plan.payloads[1:2])
-    with pytest.raises(InputError, match="holds 1 kg alone"):
-        PlanGoals(alone, 2.0)
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

@@ -18,10 +18,9 @@ from firmware_py.goals.tip_plan import (
     StiffnessSlopes,
     read_tip_plan,
 )
-from firmware_py.inference.estimator import Estimate
-from firmware_py.inference.predictor import Prediction
 from firmware_py.safety.estimate_trust import TrustOptions, TrustState
 from tests.firmware_py.goals.small_plan import payload_plan, plan_of
+from tests.firmware_py.goals.test_tip_feedback import tick
 
 ROWS, PROBE_ROWS = 60, 100
 PHASE = 2 * np.pi * np.arange(PROBE_ROWS) / PROBE_ROWS
@@ -73,29 +72,13 @@ class Robot:
 
     def tick(self, slot, fresh=True, innovation=0.1):
         current = self._current[slot] if -PROBE_ROWS <= slot < 0 else 0.0
-        prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.array([1.0]), np.full(3, 0.01))
-        estimate = Estimate(0.0, 1.0, np.array([innovation]))
-        answer = self.feedback.update(
-            slot, PERIOD_S, fresh, np.array([current]), estimate, prediction
-        )
-        return float(answer[0])
+        return tick(self.feedback, 0.0, slot, fresh, innovation=innovation, current=current)
 
     def probe(self, stale=(), skipped=(), **wrong):
         for slot in range(-PROBE_ROWS - 5, 0):
             if slot not in skipped:
                 self.tick(slot, fresh=slot not in stale, **wrong)
         return [self.tick(slot) for slot in range(ROWS)]
-
-
-def test_goals_probe_before_slot_0_and_only_once():
-    plan = probing_plan()
-    goals = PlanGoals(plan, 1.0)
-    assert goals.lead == PROBE_ROWS
-    before = [float(goals.at(slot)[0]) for slot in range(-PROBE_ROWS, 0)]
-    assert before == pytest.approx(plan.probe.goals_rad[0])
-    assert goals.at(-PROBE_ROWS - 1)[0] == goals.at(0)[0] == goals.at(ROWS)[0] == 0.0
-    without = PlanGoals(plan, 1.0, probes=False)
-    assert without.lead == 0 and without.at(-3)[0] == 0.0
 
 
 @pytest.mark.parametrize("known_kg", [None, 1.1])

@@ -189,11 +189,6 @@ def test_gains_of_the_file_and_of_the_bundle_are_merged_or_refused(bundle):
     assert (both.position_p, both.velocity_i) == (32, 14)
 
 
-def test_a_bundle_without_gains_changes_nothing(bundle):
-    config = robot_of(ServoGains(velocity_i=14))
-    assert with_bundle_gains(config, with_gains(bundle), ROBOT) == config
-
-
 def test_a_gain_that_the_servo_lacks_is_refused(bundle):
     with pytest.raises(InputError, match="has no Position D Gain"):
         with_bundle_gains(robot_of(), with_gains(bundle, ServoGains(position_d=1)), ROBOT)

@@ -19,7 +19,6 @@ from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import TrustConfig, key_text
 from firmware_py.inference.manifest import content_sha256, write_manifest
 from firmware_py.robot import load_bundle
-from models.plant.plant import read_plant
 
 # RFC 8032, section 7.1, test 1: secret and public key.
 SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
@@ -212,23 +211,3 @@ def test_a_file_that_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys, mon
         path.write_bytes(content[kind])
     assert sign(bundle, path) == 2
     assert "other" in capsys.readouterr().err and not (bundle / "manifest.sig").exists()
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"value": float("nan")}, "{name} is not a finite number"),
-        ({"bounds": [-float("inf"), float("inf")]}, "{name} are -inf and inf, not finite numbers"),
-        ({"bounds": [5.0, 1.0]}, r"{name} are \[5, 1\], the larger one first; swap them"),
-    ],
-)
-def test_the_plant_of_a_bundle_holds_numbers_that_can_be(bundle, changes, words):
-    path = bundle / "plant.json"
-    document = json.loads(path.read_text(encoding="utf-8"))
-    name, entry = next(
-        (n, e) for n, e in document["parameters"].items() if isinstance(e, dict) and "bounds" in e
-    )
-    document["parameters"][name] = entry | changes
-    path.write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(InputError, match=words.format(name=name)):
-        read_plant(path)

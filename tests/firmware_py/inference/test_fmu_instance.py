@@ -2,7 +2,6 @@
 
 import platform
 import tracemalloc
-import zipfile
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from firmware_py.inference.fmu_instance import FmuInstance
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_checker import varying_steps_s
-from tests.fmu.toy import pendulum
+from tests.fmu.toy import moving_inputs, pendulum, rewritten
 
 INPUTS = ["torque_nm", "payload_kg"]
 OUTPUTS = ["tip_x_m", "tip_z_m", "torque_filtered_nm", "steps", "mass_kg", "time"]
@@ -30,12 +29,8 @@ def fmu(path):
         yield fmu
 
 
-def _inputs(count):
-    return np.column_stack([np.sin(0.1 * np.arange(count)), np.full(count, 0.7)])
-
-
 def test_steps_equal_fmpys_bit_by_bit(fmu, path):
-    u, steps_s = _inputs(120), varying_steps_s(120)
+    u, steps_s = moving_inputs(120), varying_steps_s(120)
     with FmuArchive(path) as archive, archive.instance() as instance:
         expected = instance.run(INPUTS, u, steps_s, OUTPUTS)
     inputs, outputs = fmu.channel(INPUTS), fmu.channel(OUTPUTS)
@@ -56,19 +51,6 @@ def test_what_is_set_before_the_first_step_shapes_the_first_state(fmu):
     assert fmu.get(["in_range", "parameters.rest_rad"]).tolist() == [1.0, 0.1]
     fmu.set(["parameters.rest_rad"], [1.5])
     assert fmu.get(["in_range"])[0] == 0.0, "a Boolean is read as 1 or 0"
-
-
-def test_reset_begins_anew(fmu):
-    def run():
-        fmu.set(INPUTS, [1.0, 0.2])
-        for _ in range(25):
-            fmu.step(PERIOD_S)
-        return fmu.get(OUTPUTS)
-
-    first = run()
-    fmu.reset()
-    assert fmu.time_s == 0.0
-    np.testing.assert_array_equal(run(), first)
 
 
 def test_a_refused_call_names_the_cause_and_the_fmu_goes_on(fmu):
@@ -105,16 +87,6 @@ def test_a_tick_leaves_nothing_allocated(fmu):
     assert after - before < 500  # bytes: less than one a tick
 
 
-def _changed(source, target, change):
-    with zipfile.ZipFile(source) as archive:
-        files = {name: archive.read(name) for name in archive.namelist()}
-    change(files)
-    with zipfile.ZipFile(target, "w") as archive:
-        for name, data in files.items():
-            archive.writestr(name, data)
-    return target
-
-
 def _edit(old, new):
     def change(files):
         files["modelDescription.xml"] = files["modelDescription.xml"].replace(old, new)
@@ -146,7 +118,7 @@ def _lacking(files):
 )
 def test_a_damaged_fmu_is_refused(path, tmp_path, change, sentence):
     with pytest.raises(InputError, match=sentence):
-        FmuInstance(_changed(path, tmp_path / "bad.fmu", change))
+        FmuInstance(rewritten(path, tmp_path / "bad.fmu", change))
 
 
 def test_a_machine_without_a_binary_is_named(path, monkeypatch):

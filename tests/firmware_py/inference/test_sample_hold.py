@@ -3,28 +3,11 @@
 import numpy as np
 import pytest
 
-from firmware_py.inference.estimator import Estimate, SampleHold
+from firmware_py.inference.estimator import SampleHold
+from tests.firmware_py.simulated_loop import Steps
 
 STEP_S = 0.017
 SAMPLE = (np.zeros(1), np.zeros(1), STEP_S)
-
-
-class Observer:
-    waits_for_fresh = True
-
-    def __init__(self):
-        self.steps_s = []
-
-    def reset(self):
-        self.steps_s.clear()
-
-    def update(self, angle_rad, current_a, step_s):
-        self.steps_s.append(step_s)
-        return Estimate(float(len(self.steps_s)), 1.0)
-
-
-class Counter(Observer):
-    waits_for_fresh = False
 
 
 def follow(estimator, fresh):
@@ -33,7 +16,7 @@ def follow(estimator, fresh):
 
 
 def test_the_observer_waits_for_a_fresh_sample_and_gets_the_time():
-    observer = Observer()
+    observer = Steps()
     answers = follow(observer, [True, True, False, False, True, True])
     assert observer.steps_s == pytest.approx([STEP_S, STEP_S, 3 * STEP_S, STEP_S])
     assert [di for di, _ in answers] == [1, 2, 2, 2, 3, 4]
@@ -43,7 +26,7 @@ def test_the_observer_waits_for_a_fresh_sample_and_gets_the_time():
 
 
 def test_a_sample_that_is_late_comes_with_the_time_between_it_and_its_neighbours():
-    observer = Observer()
+    observer = Steps()
     hold = SampleHold(observer)
     late_s = {1: 0.005, 4: 0.003, 5: 0.003}
     ages = []
@@ -57,7 +40,7 @@ def test_a_sample_that_is_late_comes_with_the_time_between_it_and_its_neighbours
 
 
 def test_time_never_runs_backwards_after_a_leap_of_the_clock():
-    observer = Observer()
+    observer = Steps()
     hold = SampleHold(observer)
     for late_s in (0.0, 5.0, 0.0, -3.0, 0.0):
         hold.update(*SAMPLE, True, late_s)
@@ -66,13 +49,14 @@ def test_time_never_runs_backwards_after_a_leap_of_the_clock():
 
 
 def test_other_estimators_take_every_sample():
-    counter = Counter()
+    counter = Steps()
+    counter.waits_for_fresh = False
     answers = follow(counter, [True, False, True])
     assert counter.steps_s == [STEP_S] * 3 and [age_s for _, age_s in answers] == [0, 0, 0]
 
 
 def test_a_missed_slot_counts_as_a_gap_until_a_reset():
-    hold = SampleHold(Observer())
+    hold = SampleHold(Steps())
     hold.update(*SAMPLE, True)
     hold.update(*SAMPLE[:2], 3 * STEP_S, True)
     assert hold.age_s > 0

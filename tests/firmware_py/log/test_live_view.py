@@ -11,7 +11,6 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -22,9 +21,7 @@ from firmware_py.log.live_gate import LiveGate
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SCHEMA_NAME, TOPIC, read_recording, tick_schema
 from firmware_py.log.sinks import LiveConfig
-from firmware_py.summary import Ended
 from tests.firmware_py.log.test_recorder import ROOT, assert_same, put_all, ticks
-from tests.firmware_py.simulated_loop import make
 
 ORIGINS = LiveConfig().origins
 PATIENCE_S = 30
@@ -126,45 +123,6 @@ def test_a_viewer_that_dies_or_stands_still_costs_the_log_nothing(tmp_path, capf
     log = read_recording(path)
     assert log.complete
     assert_same({name: column[sent:] for name, column in log.columns.items()}, records)
-
-
-def recorder_pid():
-    """The only child of this process."""
-    (children,) = Path(f"/proc/{os.getpid()}/task").glob(f"{os.getpid()}/children")
-    return int(children.read_text().split()[-1])
-
-
-@pytest.mark.parametrize("fate", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_recorder_that_dies_or_stands_still_does_not_touch_the_loop(tmp_path, serve, fate):
-    """In simulated time the run is the same to the bit as one that nobody records."""
-    alone = make()[0].run()
-    telemetry, _ = serve(tmp_path / "run.mcap")
-    loop, bus, *_, sent = make()
-    pid = recorder_pid()
-
-    class Fatal:
-        """Passes ticks on, and after 100 of them the recorder meets its fate."""
-
-        drops = 0
-
-        def put(self, record):
-            sent.put(record)
-            telemetry.put(record)
-            if len(sent.parts) == 100:
-                os.kill(pid, fate)
-                if fate == signal.SIGKILL:
-                    os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
-
-    loop._log._telemetry = Fatal()
-    summary = loop.run()
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGCONT)
-    assert summary.ended is Ended.FINISHED
-    assert summary.records.tobytes() == alone.records.tobytes()
-    assert len(sent.parts) == summary.ticks
-    if fate == signal.SIGKILL:
-        assert telemetry.drops >= summary.ticks - 100
-    assert bus.calls[-1] == "torque off"
 
 
 def test_an_address_in_use_is_refused_before_the_start(capfd):

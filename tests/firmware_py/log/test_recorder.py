@@ -148,7 +148,7 @@ TAILS = {"nothing": b"", "zeros": bytes(4096), "litter": bytes(range(256)) * 4}
 
 @given(data=st.data())
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_a_log_cut_off_at_any_byte_is_read_up_to_its_last_whole_chunk(tmp_path, whole, data):
     size = len(whole.data)

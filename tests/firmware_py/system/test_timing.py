@@ -1,7 +1,5 @@
 """Timing: percentiles, causes of misses, the bound on their rate; clocks, counters, `bench`."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import json

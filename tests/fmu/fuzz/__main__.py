@@ -3,8 +3,6 @@
 Prints one line of JSON: calls made and calls that returned OK, of both versions of FMI together.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """Command `dropstitch campaign`: results, a second run, dead workers, interrupts, refusals."""
 
-from __future__ import annotations
-
 import csv
 import json
 import multiprocessing
@@ -93,14 +91,6 @@ def test_a_second_run_begins_what_has_no_result_and_nothing_else(tmp_path, capsy
     assert "4 of 4 cases have a result, 3 of them before" in capsys.readouterr().out
     changed = [path for path in results if path.stat().st_mtime_ns != before[path]]
     assert changed == [results[0]]
-
-
-def test_results_of_other_code_do_not_count(tmp_path, capsys, monkeypatch):
-    one = f"{KIND}[fixed]\nvalue = 1.0\n"
-    assert campaign(tmp_path, one, "--workers", "1") == 0
-    monkeypatch.setattr("hil.campaign.cases.code_version", lambda folders: "other code")
-    assert campaign(tmp_path, one, "--workers", "1") == 1  # the worker has the code as it is
-    assert "the campaign has other code" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Kinds of cases: the same result every time, and the same as the command's."""
 
-from __future__ import annotations
-
 import json
 import signal
 from pathlib import Path

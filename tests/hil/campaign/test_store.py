@@ -1,7 +1,5 @@
 """Keys, tasks and store of a campaign: what makes another case, and what counts as a result."""
 
-from __future__ import annotations
-
 import json
 import os
 from types import SimpleNamespace

@@ -1,25 +1,29 @@
 """`dropstitch emulate`, spoken to by the official SDK, untouched."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 
 import dynamixel_sdk as sdk
+import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.system.clock import RealTimeOptions
+from firmware_py.bus.dynamixel import DynamixelBus
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.bus.servo_setup import ServoSetup
+from firmware_py.bus.transport import SocketTransport
+from firmware_py.system.clock import DeadlineClock, RealTimeOptions
 from models.plant.plant import NOMINAL
 
 
-def started(*options):
+def started(model, *options):
     """A process that emulates, and the name of its port."""
     process = subprocess.Popen(
         [
-            sys.executable, "-m", "dropstitch", "emulate", "--model", "PH54-200-S500-R",
+            sys.executable, "-m", "dropstitch", "emulate", "--model", model,
             "--plant", str(NOMINAL), "--baud", "1000000", *map(str, options),
         ],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -32,7 +36,7 @@ def started(*options):
 @pytest.fixture(scope="module")
 def emulating():
     """A process behind whose port two PH54 stand, and the name of that port."""
-    process, port = started("--line", "pty", "--ids", "1", "2")
+    process, port = started("PH54-200-S500-R", "--line", "pty", "--ids", "1", "2")
     yield process, port
     granted = policy_of(process) == os.SCHED_FIFO
     process.send_signal(signal.SIGINT)
@@ -59,10 +63,21 @@ def test_the_servos_ask_for_the_priority_of_a_loop_and_not_for_more(emulating):
 
 
 @pytest.mark.slow
-def test_a_termination_leaves_no_socket(tmp_path):
-    path = tmp_path / "bus"
-    process, port = started("--line", "socket", "--path", path)
-    assert port == f"unix:{path}" and path.exists()
+def test_our_bus_drives_the_socket_and_a_termination_leaves_none(tmp_path):
+    path, clock = tmp_path / "bus", DeadlineClock()
+    # A legacy Pro has no watchdog that a busy machine would trip.
+    process, port = started("H54-200-S500-R", "--line", "socket", "--path", path)
+    assert port == f"unix:{path}"
+    for _ in range(2):  # a program may come back
+        setups = [ServoSetup(1, MODELS[54024], -1.0, 1.0)]
+        bus = DynamixelBus(SocketTransport(str(path), clock), setups, clock, period_s=0.017)
+        bus.connect()
+        assert bus.torque(True) is BusStatus.OK
+        for _ in range(5):
+            assert bus.write(np.array([0.2]), clock.now_ns() + 10**9) is BusStatus.OK
+            assert bus.read(clock.now_ns() + 10**9) is BusStatus.OK
+        assert bus.angle_rad.all()
+        bus.close()
     process.terminate()
     error = process.communicate(timeout=30)[1]
     assert process.returncode == 143 and error.endswith("terminated\n")
@@ -75,6 +90,9 @@ def test_the_sdk_moves_the_plant_and_sees_it_move(emulating, patient):
     try:
         assert patient(handler.ping, port, 2) == (2020, sdk.COMM_SUCCESS, 0)
         assert patient(handler.write1ByteTxRx, port, 1, 512, 1) == (sdk.COMM_SUCCESS, 0)
+        assert sorted(patient(handler.broadcastPing, port)[0]) == [1, 2]
+        refused = patient(handler.write4ByteTxRx, port, 1, 580, 1)
+        assert refused == (sdk.COMM_SUCCESS, sdk.protocol2_packet_handler.ERRNUM_ACCESS)
         goal = 20_000
         assert patient(handler.write4ByteTxRx, port, 1, 564, goal) == (sdk.COMM_SUCCESS, 0)
         position = 0
@@ -84,7 +102,14 @@ def test_the_sdk_moves_the_plant_and_sees_it_move(emulating, patient):
                 break
         assert abs(position - goal) < 100
         still, result, _ = patient(handler.read4ByteTxRx, port, 2, 580)
-        assert min(still, 2**32 - still) < 100, "the second one got no goal"
+        assert min(still, 2**32 - still) < 100, "the second one has no torque"
+        group = sdk.GroupSyncWrite(port, handler, 564, 4)
+        reader = sdk.GroupSyncRead(port, handler, 564, 4)
+        for servo, raw in ((1, goal), (2, 1000)):
+            assert group.addParam(servo, raw.to_bytes(4, "little")) and reader.addParam(servo)
+        assert group.txPacket() == sdk.COMM_SUCCESS
+        assert patient(reader.txRxPacket) == sdk.COMM_SUCCESS
+        assert [reader.getData(servo, 564, 4) for servo in (1, 2)] == [goal, 1000]
     finally:
         port.closePort()
 

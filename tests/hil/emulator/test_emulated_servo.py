@@ -1,11 +1,9 @@
 """Registers as the bus sees them: rights, ranges, torque, protection, resolution."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_py.bus import codec
@@ -250,6 +248,7 @@ def together(bus, ids, address, length):
     return [(block[1], block[0], block[2:-2]) for block in cut]
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 600), st.integers(1, 40))
 def test_a_fast_sync_read_gives_what_a_sync_read_gives(bus_of, address, length):
     bus = bus_of(PRO_A, ids=(1, 2, 3))

@@ -1,14 +1,8 @@
 """Timing of the line, and its three ports, used by the SDK and by our bus."""
 
-from __future__ import annotations
-
-import multiprocessing
-import os
-
-import dynamixel_sdk as sdk
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_py.bus import codec
@@ -20,15 +14,11 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
-from firmware_py.bus.transport import SocketTransport
-from firmware_py.system.clock import DeadlineClock, SimClock
+from firmware_py.system.clock import SimClock
 from hil.emulator.line import (
     USB_PACKET_BYTES,
     Line,
     VirtualTransport,
-    pty_endpoint,
-    serve_line,
-    socket_endpoint,
 )
 from hil.emulator.line_faults import FaultPlan, parse_rates
 
@@ -88,6 +78,7 @@ def test_a_full_adapter_does_not_wait_for_its_timer(bus_of):
     assert len(status.parameters) == 101
 
 
+@settings(max_examples=30)
 @given(st.lists(st.integers(0, 60 * MS), max_size=20), st.sampled_from([0.0, 1e-3, 16e-3]))
 def test_no_answer_is_readable_before_it_was_transmitted(bus_of, gaps, latency):
     line = Line(bus_of(1020), latency_s=latency)
@@ -235,71 +226,3 @@ def test_fault_rates_are_met():
 def test_a_fault_that_cannot_be_is_refused(word):
     with pytest.raises(Exception, match="--faults"):
         parse_rates([word])
-
-
-class Served:
-    """A line served by a process of its own until the block ends."""
-
-    def __init__(self, line, endpoint) -> None:
-        self._line, self._endpoint = line, endpoint
-        self._stop_r, self._stop_w = os.pipe()
-
-    def __enter__(self) -> str:
-        self._context = self._endpoint(self._stop_r)
-        name, accept = self._context.__enter__()
-
-        def work() -> None:
-            while (fd := accept()) is not None and serve_line(self._line, fd, self._stop_r):
-                pass
-
-        self._process = multiprocessing.get_context("fork").Process(target=work)
-        self._process.start()
-        return name
-
-    def __exit__(self, *exc) -> None:
-        os.write(self._stop_w, b"x")
-        self._process.join()
-        self._context.__exit__(*exc)
-        os.close(self._stop_r)
-        os.close(self._stop_w)
-
-
-def test_the_official_sdk_untouched_talks_to_the_pty(bus_of, patient):
-    with Served(Line(bus_of(54024, (1, 2)), latency_s=0.0), lambda _: pty_endpoint()) as name:
-        port, handler = sdk.PortHandler(name), sdk.PacketHandler(2.0)
-        assert port.openPort() and port.setBaudRate(1_000_000)
-        try:
-            assert patient(handler.ping, port, 1) == (54024, sdk.COMM_SUCCESS, 0)
-            assert sorted(patient(handler.broadcastPing, port)[0]) == [1, 2]
-            for servo_id in (1, 2):
-                done = patient(handler.write1ByteTxRx, port, servo_id, 562, 1)
-                assert done == (sdk.COMM_SUCCESS, 0)
-            assert patient(handler.read1ByteTxRx, port, 1, 562) == (1, sdk.COMM_SUCCESS, 0)
-            refused = patient(handler.write4ByteTxRx, port, 1, 611, 1)
-            assert refused == (sdk.COMM_SUCCESS, sdk.protocol2_packet_handler.ERRNUM_ACCESS)
-            group = sdk.GroupSyncWrite(port, handler, 596, 4)
-            for servo_id, goal in ((1, 41_827), (2, 1000)):
-                assert group.addParam(servo_id, goal.to_bytes(4, "little"))
-            assert group.txPacket() == sdk.COMM_SUCCESS
-            reader = sdk.GroupSyncRead(port, handler, 596, 4)
-            assert reader.addParam(1) and reader.addParam(2)
-            assert patient(reader.txRxPacket) == sdk.COMM_SUCCESS
-            assert [reader.getData(i, 596, 4) for i in (1, 2)] == [41_827, 1000]
-        finally:
-            port.closePort()
-
-
-def test_our_bus_drives_the_socket(bus_of, tmp_path):
-    clock = DeadlineClock()  # a legacy Pro has no watchdog that a busy machine would trip
-    path = tmp_path / "line"
-    with Served(Line(bus_of(54024, (1, 2))), lambda stop: socket_endpoint(path, stop)) as name:
-        for _ in range(2):  # a program may come back
-            bus = bus_on(SocketTransport(name.removeprefix("unix:"), clock), clock, 54024)
-            bus.connect()
-            assert bus.torque(True) == BusStatus.OK
-            for _ in range(5):
-                assert bus.write(np.array([0.2, 0.1]), clock.now_ns() + 10**9) == BusStatus.OK
-                assert bus.read(clock.now_ns() + 10**9) == BusStatus.OK
-            assert bus.angle_rad.all()
-            bus.close()
-    assert not path.exists()

@@ -1,7 +1,5 @@
 """The robot's loop against the rig: reproducible, the rig's own states, and hidden effects."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

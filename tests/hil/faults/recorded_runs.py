@@ -5,26 +5,19 @@ lacks, with the robot of the tests; with `--anew` it records every row of the vi
 replays each new run, and reports and omits the runs that the replay does not reproduce.
 """
 
-from __future__ import annotations
-
 import argparse
-import io
 import lzma
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple
 from unittest.mock import patch
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.config import RobotConfig
 from firmware_py.core.errors import DropstitchError, SafetyTrip
-from firmware_py.core.units import FILE_SIZE
 from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
@@ -34,25 +27,25 @@ from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.system.clock import SimClock
 from firmware_py.system.service import Service
 from hil.faults import case_robot, virtual_case
-from hil.faults.case_robot import CaseRobot
-from hil.faults.fault_row import FaultRow
 from hil.faults.fault_table import ROWS
 from hil.faults.faults_document import FaultCase
 from hil.faults.virtual_case import case_goals, run_virtual
 from tests.hil.faults.toy_robot import ToyPhysics, toy_robot
 
-Array = NDArray[np.float64]
-FILE: Final = Path(__file__).with_name("recorded_runs.xz")
-Columns = Mapping[str, NDArray[Any]]
-_FACTS: Final = "facts"
-_MEASURED: Final = ("current_", "di", "predicted_")
-"""Columns stored with 32 bits, which is enough: the loop only compares them with limits."""
+FILE = Path(__file__).with_name("recorded_runs.xz")
+STAGES = ("estimate_ns", "predict_ns", "command_ns", "check_ns", "write_ns")
+OF_THE_LOG = ("tick", "di", "predicted_tip_x_m", "predicted_tip_y_m", "predicted_tip_z_m",
+              "state", "lateness_ns", "read_ns", *STAGES, "busy_ns")  # fmt: skip
+OF_A_JOINT = ("goal_{}_rad", "angle_{}_rad", "current_{}_a")
+OF_THE_BUS = ("read_status", "write_status", "read_alert")
+SAME_RAD = 1e-9
+"""Largest difference of goals that counts as rounding; a pulse of the finest servo is 6 µrad."""
 
 
-class TapeFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """Configuration, outcome and events of a recorded run; its ticks are stored apart."""
+class RecordedRun(msgspec.Struct, frozen=True, kw_only=True):
+    """Configuration, events, ticks and end of a run."""
 
-    name: str  # Name of the case in the campaign
+    name: str  # Of the case in the campaign
     config: RobotConfig
     number: int  # Model number of the servos
     through_pulse: int | None  # Goal in pulses of a motion other than the configured one
@@ -62,54 +55,27 @@ class TapeFacts(msgspec.Struct, frozen=True, kw_only=True):
     requested: str  # Reason for a requested stop; empty if none was requested
     ended: str
     reason: str
-    ticks: int  # Number of rows
+    columns: dict[str, list[int | float]]  # A part of the log's, and `OF_THE_BUS`
+
+    @property
+    def row(self):
+        return self.name.rpartition(" (virtual")[0]
+
+    @property
+    def ticks(self):
+        return len(self.columns["tick"])
 
 
-class RunTape(NamedTuple):
-    facts: TapeFacts
-    columns: Columns  # Ticks by column, see `column_names`
+def write_runs(path, runs):
+    path.write_bytes(lzma.compress(msgspec.msgpack.encode(runs), preset=9))
 
 
-def column_names(dof: int) -> tuple[str, ...]:
-    """Columns of a run: a part of the log's, and the statuses of reads and writes."""
-    joints = [f"{n}_{j}_{u}" for j in range(1, dof + 1)
-              for n, u in (("goal", "rad"), ("angle", "rad"), ("current", "a"))]  # fmt: skip
-    return (
-        "tick", *joints, "di", "predicted_tip_x_m", "predicted_tip_y_m", "predicted_tip_z_m",
-        "state", "lateness_ns", "read_ns", "estimate_ns", "predict_ns", "command_ns", "check_ns",
-        "write_ns", "busy_ns", "read_status", "write_status", "read_alert",
-    )  # fmt: skip
+def read_runs(path):
+    content = lzma.decompress(path.read_bytes())
+    return msgspec.msgpack.decode(content, type=list[RecordedRun])
 
 
-def write_runs(path: Path, runs: Sequence[RunTape]) -> None:
-    """Write runs of the same number of joints; a column holds the ticks of all runs in sequence."""
-    names = column_names(runs[0].facts.config.dof)
-    facts = np.frombuffer(msgspec.json.encode([run.facts for run in runs]), np.uint8)
-    arrays = {_FACTS: facts}
-    for name in names:
-        column = np.concatenate([run.columns[name] for run in runs])
-        arrays[name] = column.astype(np.float32) if name.startswith(_MEASURED) else column
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    path.write_bytes(lzma.compress(buffer.getvalue(), preset=9))
-
-
-def read_runs(path: Path) -> list[RunTape]:
-    with np.load(io.BytesIO(lzma.decompress(path.read_bytes())), allow_pickle=False) as file:
-        facts = msgspec.json.decode(file[_FACTS].tobytes(), type=list[TapeFacts])
-        columns = {name: file[name] for name in column_names(facts[0].config.dof)}
-    runs, first = [], 0
-    for one in facts:
-        part = slice(first, first + one.ticks)
-        runs.append(RunTape(one, {name: column[part] for name, column in columns.items()}))
-        first += one.ticks
-    return runs
-
-
-# --- replay
-
-SAME_RAD = 1e-9
-"""Largest difference of goals that counts as rounding; a pulse of the finest servo is 6 µrad."""
+# --- replay ---------------------------------------------------------------------------------------
 
 
 class _RunsOnError(DropstitchError):
@@ -119,47 +85,38 @@ class _RunsOnError(DropstitchError):
 class _Playback(Service):
     """Bus, clock, estimator, predictor and service of a recorded run."""
 
-    waits_for_fresh: ClassVar[bool] = False
+    waits_for_fresh = False
 
-    def __init__(self, run: RunTape) -> None:
-        facts, columns = run.facts, run.columns
-        self._facts, self._columns = facts, columns
-        self.dof = facts.config.dof
-        joints = range(1, self.dof + 1)
-        self._angles = np.stack([columns[f"angle_{j}_rad"] for j in joints], axis=1)
-        self._currents = np.stack([columns[f"current_{j}_a"] for j in joints], axis=1)
-        self._tips = np.stack([columns[f"predicted_tip_{a}_m"] for a in "xyz"], axis=1)
-        self.angle_rad: Array = np.zeros(self.dof)
-        self.current_a: Array = np.zeros(self.dof)
+    def __init__(self, run, supervisor):
+        self.run, self.supervisor, self.dof = run, supervisor, run.config.dof
+        self.angle_rad, self.current_a = np.zeros(self.dof), np.zeros(self.dof)
         self.alert, self.wait_ns, self.late_ns, self.row = 0, 0, 0, 0
         self._connections, self._switches, self._in_tick = 0, 0, False
         self._clock, self._wake_ns = SimClock(), 0
         self._last_tick = self._last_lateness_ns = 0
-        self._stopping = columns["state"] >= SafetyState.STOPPING
-        self._period_ns = round(facts.config.period_s * 1e9)
-        self.loop: ControlLoop
-        self.supervisor: SafetySupervisor
+        self._period_ns = round(run.config.period_s * 1e9)
+        self.loop = None
 
-    def _at(self, name: str) -> int:
-        return int(self._columns[name][self.row])
+    def _at(self, name):
+        return self.run.columns[name][self.row]
 
-    def _set_clock(self, time_ns: int) -> None:
+    def _set_clock(self, time_ns):
         self._clock.advance(time_ns - self._clock.now_ns())
 
-    def now_ns(self) -> int:
+    def now_ns(self):
         return self._clock.now_ns()
 
-    def sleep_until(self, deadline_ns: int) -> None:
+    def sleep_until(self, deadline_ns):
         """Wake with the recorded lateness; while the port is missing, at the deadline."""
         if self.supervisor.state is SafetyState.OFF:
             self._clock.sleep_until(deadline_ns)
-        elif self.row < self._facts.ticks:
+        elif self.row < self.run.ticks:
             self._wake_ns = deadline_ns + self._at("lateness_ns")
             self._set_clock(self._wake_ns)
 
-    def connect(self) -> None:
+    def connect(self):
         """Set the recorded angles of this connection."""
-        known = self._facts.connected_rad
+        known = self.run.connected_rad
         self.angle_rad[:] = known[min(self._connections, len(known) - 1)]
         if self._connections:  # the port came back: continue in the recorded slot
             start_ns = self._wake_ns - self._last_lateness_ns - self._last_tick * self._period_ns
@@ -167,49 +124,51 @@ class _Playback(Service):
         self._connections += 1
         self.alert = 0
 
-    def reopen(self) -> bool:
+    def reopen(self):
         """Return whether the port came back in the recorded run."""
-        return self.row < self._facts.ticks
+        return self.row < self.run.ticks
 
-    def read(self, deadline_ns: int) -> BusStatus:
-        if self.row >= self._facts.ticks:
+    def read(self, deadline_ns):
+        if self.row >= self.run.ticks:
             raise _RunsOnError("the loop goes on after the recorded end")
-        if self._facts.requested and self._stopping[self.row]:
-            self.loop.stop(self._facts.requested)
+        if self.run.requested and self._at("state") >= SafetyState.STOPPING:
+            self.loop.stop(self.run.requested)
         self._in_tick = True
         self._last_tick, self._last_lateness_ns = self._at("tick"), self._at("lateness_ns")
-        self.angle_rad[:], self.current_a[:] = self._angles[self.row], self._currents[self.row]
+        for j in range(self.dof):
+            self.angle_rad[j] = self._at(f"angle_{j + 1}_rad")
+            self.current_a[j] = self._at(f"current_{j + 1}_a")
         self.alert = self._at("read_alert")
         self._clock.advance(self._at("read_ns"))
         return BusStatus(self._at("read_status"))
 
-    def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
+    def write(self, goal_rad, deadline_ns):
         if not self._in_tick:
             return BusStatus.OK
         self._clock.advance(sum(map(self._at, ("command_ns", "check_ns", "write_ns"))))
         return BusStatus(self._at("write_status"))
 
-    def torque(self, on: bool) -> BusStatus:
-        known = self._facts.torque
+    def torque(self, on):
+        known = self.run.torque
         status, self.alert = known[min(self._switches, len(known) - 1)]
         self._switches += 1
         return BusStatus(status)
 
-    def close(self) -> None:
+    def close(self):
         pass
 
-    def reset(self) -> None:
-        pass
+    reset = close
 
-    def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
+    def update(self, angle_rad, current_a, step_s):
         self._clock.advance(self._at("estimate_ns"))
-        return Estimate(float(self._columns["di"][self.row]), float("nan"))
+        return Estimate(self._at("di"), float("nan"))
 
-    def predict(self, *_: Any) -> Prediction:
+    def predict(self, *_):
         self._clock.advance(self._at("predict_ns"))
-        return Prediction(self._tips[self.row].astype(np.float64), np.ones(1), np.zeros(3))
+        tip_m = np.array([self._at(f"predicted_tip_{axis}_m") for axis in "xyz"])
+        return Prediction(tip_m, np.ones(1), np.zeros(3))
 
-    def alive(self) -> None:
+    def alive(self):
         """End the tick at the recorded time."""
         if self._in_tick:
             self._set_clock(self._wake_ns + self._at("busy_ns"))
@@ -217,112 +176,97 @@ class _Playback(Service):
             self.row += 1
 
 
-def replay_run(run: RunTape) -> str:
+def replay_run(run):
     """First difference of today's loop on these measurements in goals, states or end, or ""."""
-    facts, config, played = run.facts, run.facts.config, _Playback(run)
-    goals = case_goals(config, facts.through_pulse, facts.number)
+    config = run.config
     supervisor = SafetySupervisor(config.limits_in_force, config.dof, config.period_s)
-    played.supervisor = supervisor
-    played.loop = loop = ControlLoop(
-        played, played, played, supervisor, GoalTable(goals), played,
-        slots=facts.slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
-        replug_s=config.bus.replug_s, service=played, keep=2 * facts.ticks + 1,
+    played = _Playback(run, supervisor)
+    played.loop = ControlLoop(
+        played, played, played, supervisor,
+        GoalTable(case_goals(config, run.through_pulse, run.number)), played,
+        slots=run.slots, period_s=config.period_s, reply_timeout_s=config.bus.reply_timeout_s,
+        replug_s=config.bus.replug_s, service=played, keep=2 * run.ticks + 1,
     )  # fmt: skip
     try:
-        summary = loop.run()
+        summary = played.loop.run()
     except (_RunsOnError, SafetyTrip) as error:
         return str(error)
-    return _difference(facts, run, summary.records, summary.ended.value, summary.reason)
-
-
-def _difference(
-    facts: TapeFacts, run: RunTape, records: NDArray[np.void], ended: str, reason: str
-) -> str:
-    count = min(len(records), facts.ticks)
-    for name in ("tick", "state", *(f"goal_{j}_rad" for j in range(1, facts.config.dof + 1))):
-        then, now = run.columns[name][:count], records[name][:count]
+    records, ended, reason = summary.records, summary.ended.value, summary.reason
+    count = min(len(records), run.ticks)
+    for name in ("tick", "state", *(f"goal_{j}_rad" for j in range(1, config.dof + 1))):
+        then, now = np.array(run.columns[name][:count]), records[name][:count]
         differs = np.abs(now - then) > (SAME_RAD if name.endswith("_rad") else 0)
         if differs.any():
             row = int(np.argmax(differs))
             return f"{name} of row {row} is {now[row]}, it was {then[row]}"
-    if len(records) != facts.ticks:
-        return f"there are {len(records)} ticks, there were {facts.ticks}"
-    if (ended, reason) != (facts.ended, facts.reason):
-        return f"the end is {ended} ({reason}), it was {facts.ended} ({facts.reason})"
+    if len(records) != run.ticks:
+        return f"there are {len(records)} ticks, there were {run.ticks}"
+    if (ended, reason) != (run.ended, run.reason):
+        return f"the end is {ended} ({reason}), it was {run.ended} ({run.reason})"
     return ""
 
 
-# --- recording
+# --- recording ------------------------------------------------------------------------------------
 
-_REQUEST: Final = "a request"
-
-
-class _Listener:
-    """Records what the log lacks: the results of the loop's calls to its bus."""
-
-    def __init__(self) -> None:
-        self.connected_rad: list[list[float]] = []
-        self.torque: list[tuple[int, int]] = []
-        names = ("read_status", "write_status", "read_alert")
-        self.status: dict[str, list[int]] = {name: [] for name in names}
-        self._in_tick = self._connecting = False
-
-    def listen(self, bus: Any) -> Any:
-        connect, torque, read, write = bus.connect, bus.torque, bus.read, bus.write
-
-        def connected() -> None:
-            self._connecting = True  # connecting calls `read` as well
-            try:
-                connect()
-            finally:
-                self._connecting = False
-            self.connected_rad.append(bus.angle_rad.tolist())
-
-        def switched(on: bool) -> BusStatus:
-            status = torque(on)
-            self.torque.append((int(status), bus.alert))
-            return status
-
-        def measured(deadline_ns: int) -> BusStatus:
-            status = read(deadline_ns)
-            if self._connecting:
-                return status
-            self.status["read_status"].append(int(status))
-            self.status["read_alert"].append(bus.alert)
-            self._in_tick = True
-            return status
-
-        def sent(goal_rad: Array, deadline_ns: int) -> BusStatus:
-            status = write(goal_rad, deadline_ns)
-            if self._in_tick:
-                self.status["write_status"].append(int(status))
-            self._in_tick = False
-            return status
-
-        bus.connect, bus.torque, bus.read, bus.write = connected, switched, measured, sent
-        return bus
+REQUEST = "a request"
 
 
-def record_case(case: FaultCase, robot: CaseRobot) -> RunTape:
+class _ListenedBus:
+    """A bus, and what the log lacks: the results of the loop's calls."""
+
+    def __init__(self, bus):
+        self._bus, self._in_tick = bus, False
+        self.connected_rad, self.switches = [], []
+        self.columns = {name: [] for name in OF_THE_BUS}
+
+    def __getattr__(self, name):
+        return getattr(self._bus, name)
+
+    def connect(self):
+        self._bus.connect()
+        self.connected_rad.append(self._bus.angle_rad.tolist())
+
+    def torque(self, on):
+        status = self._bus.torque(on)
+        self.switches.append((int(status), self._bus.alert))
+        return status
+
+    def read(self, deadline_ns):
+        status = self._bus.read(deadline_ns)
+        self.columns["read_status"].append(int(status))
+        self.columns["read_alert"].append(self._bus.alert)
+        self._in_tick = True
+        return status
+
+    def write(self, goal_rad, deadline_ns):
+        status = self._bus.write(goal_rad, deadline_ns)
+        if self._in_tick:
+            self.columns["write_status"].append(int(status))
+        self._in_tick = False
+        return status
+
+
+def record_case(case, robot):
     """Run a case on the virtual line; return its run."""
-    listener, tapes = _Listener(), []
+    buses, runs = [], []
     build_bus, run_loop = case_robot.build_bus, virtual_case.run_case_loop
 
-    def build(*arguments: Any) -> Any:
-        return listener.listen(build_bus(*arguments))
+    def build(*arguments):
+        buses.append(_ListenedBus(build_bus(*arguments)))
+        return buses[-1]
 
-    def run(robot: CaseRobot, config: RobotConfig, goals: Any, slots: int, *rest: Any) -> Any:
+    def run(robot, config, goals, slots, *rest):
         outcome, columns = run_loop(robot, config, goals, slots, *rest)
-        facts = TapeFacts(
+        bus, joints = buses[-1], range(1, config.dof + 1)
+        names = [*OF_THE_LOG, *(name.format(j) for j in joints for name in OF_A_JOINT)]
+        runs.append(RecordedRun(
             name=case.name, config=config, number=case.number,
             through_pulse=case.row.setup.through_pulse, slots=slots,
-            connected_rad=listener.connected_rad, torque=listener.torque,
-            requested=_REQUEST if outcome.reason.startswith(_REQUEST) else "",
-            ended=outcome.ended, reason=outcome.reason, ticks=len(columns["tick"]),
-        )  # fmt: skip
-        noted = {name: np.array(values) for name, values in listener.status.items()}
-        every = {**columns, **noted}
-        tapes.append(RunTape(facts, {name: every[name] for name in column_names(config.dof)}))
+            connected_rad=bus.connected_rad, torque=bus.switches,
+            requested=REQUEST if outcome.reason.startswith(REQUEST) else "",
+            ended=outcome.ended, reason=outcome.reason,
+            columns={name: columns[name].tolist() for name in names} | bus.columns,
+        ))  # fmt: skip
         return outcome, columns
 
     with (
@@ -330,10 +274,10 @@ def record_case(case: FaultCase, robot: CaseRobot) -> RunTape:
         patch.object(virtual_case, "run_case_loop", run),
     ):
         run_virtual(robot, case.row, case.number, case.seed)
-    return tapes[0]
+    return runs[0]
 
 
-def replayable(row: FaultRow) -> bool:
+def replayable(row):
     """Whether the robot of a row starts, and a run holds all that its goals depend on."""
     return (
         "virtual" in row.lines
@@ -343,35 +287,26 @@ def replayable(row: FaultRow) -> bool:
     )
 
 
-def row_name(run: RunTape) -> str:
-    return run.facts.name.rpartition(" (virtual")[0]
-
-
-def main(argv: Sequence[str] | None = None) -> int:
+def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--anew", action="store_true", help="record every row again")
-    args = parser.parse_args(argv)
-    rows = [row for row in ROWS if replayable(row)]
-    names = {f"{row.fault}, {row.how}" for row in rows}
-    runs = [] if args.anew else [run for run in read_runs(FILE) if row_name(run) in names]
-    known = {row_name(run) for run in runs}
+    rows = {f"{row.fault}, {row.how}": row for row in ROWS if replayable(row)}
+    runs = [] if parser.parse_args().anew else [r for r in read_runs(FILE) if r.row in rows]
+    missing = rows.keys() - {run.row for run in runs}
     with (
         tempfile.TemporaryDirectory() as scratch,
         patch.object(virtual_case, "FmuPhysics", ToyPhysics),
     ):
         robot = toy_robot(Path(scratch))
-        for row in rows:
-            if f"{row.fault}, {row.how}" in known:
-                continue
-            run = record_case(FaultCase(row, "virtual", row.models[0], seed=1), robot)
+        for name in sorted(missing):
+            run = record_case(FaultCase(rows[name], "virtual", rows[name].models[0], 1), robot)
             if difference := replay_run(run):
-                print(f"{run.facts.name}: left out: {difference}", file=sys.stderr)
+                print(f"{run.name}: left out: {difference}", file=sys.stderr)
             else:
                 runs.append(run)
     write_runs(FILE, runs)
-    print(f"{FILE}: {len(runs)} runs, {FILE_SIZE.number(FILE.stat().st_size)} kB")
-    return 0
+    print(f"{FILE}: {len(runs)} runs")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

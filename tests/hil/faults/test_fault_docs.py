@@ -1,12 +1,10 @@
 """docs/safety.md and docs/safety/faults.md agree with the code."""
 
 import ast
-from pathlib import Path
 
 from hil.faults.fault_docs import FAULTS_PAGE, SAFETY_PAGE, faults_page, requirements, safety_page
 from hil.faults.fault_table import ROWS
-
-ROOT = Path(__file__).parents[3]
+from tests.house.sources import ROOT, tree_of
 
 
 def test_the_pages_are_generated_from_the_code():
@@ -23,8 +21,8 @@ def test_every_requirement_has_tests_and_either_faults_or_a_reason_for_none():
         assert bool(requirement.faults) != bool(requirement.no_fault), requirement.identifier
         for test in requirement.tests:
             file, _, name = test.partition("::")
-            tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-            assert name in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, test
+            functions = [n for n in tree_of(ROOT / file).body if isinstance(n, ast.FunctionDef)]
+            assert name in {function.name for function in functions}, test
 
 
 def test_every_row_proves_a_requirement():

@@ -3,13 +3,11 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
-
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.manifest import Manifest
-from firmware_py.inference.predictor import Prediction
 from hil.faults.case_robot import CaseRobot
+from tests.firmware_py.simulated_loop import StillPredictor
 from tests.hil.conftest import LagPlant
 
 PERIOD_S = 0.017
@@ -21,13 +19,6 @@ def manifest(dof: int) -> Manifest:
         lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
         coefficients={}, files={},
     )  # fmt: skip
-
-
-class StillPredictor:
-    wanted = ()
-
-    def predict(self, angle_rad, current_a, di, *_):
-        return Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.full(3, 0.01))
 
 
 class ToyPhysics(LagPlant):

@@ -1,7 +1,5 @@
 """Twins behind the servos, which take seconds to build."""
 
-from __future__ import annotations
-
 import pytest
 
 from hil.emulator.physics import build_twin

@@ -14,6 +14,7 @@ from models.plant.plant import read_plant
 from models.predictor.document import read_predictors
 from models.rig.drawn import rig_named
 from models.shared.c_compiler import OPTIONS_VARIABLE
+from models.shared.kinematics import rigid_tip_m
 from models.trials.files import read_trial
 
 pytestmark = pytest.mark.slow
@@ -79,8 +80,6 @@ def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, ca
     log, trial = read_recording(sil / "ticks.mcap"), read_trial(sil / "trial" / "sil.csv")
     assert log.complete and len(log.columns["tick"]) == timing.ticks
     assert trial.markers_m.shape[1] == 12 and trial.meta.gravity == (0.0, 0.0, 9.81)
-    reach_m = link_of_bundle.base_offset_m + link_of_bundle.length_m
-    angle_rad = trial.angle_rad[:, 0]
-    rigid_m = reach_m * np.column_stack([np.sin(angle_rad), 0 * angle_rad, np.cos(angle_rad)])
+    rigid_m = rigid_tip_m(trial.angle_rad, link_of_bundle.base_offset_m, link_of_bundle.length_m)
     rigid_rms_m = np.sqrt(np.mean(np.sum((trial.tip_m - rigid_m) ** 2, axis=1)))
     assert timing.prediction_error.rms_m < rigid_rms_m / 2

@@ -1,7 +1,5 @@
 """The probe's inner loop, called in this process: its rows are consistent on any machine."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import time
