@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
 from hil.report.build_inputs import LoopRun
+from hil.report.build_page import folded_commands
 from hil.report.gap_results import BeforeAfter, GapInputs, judged_part, same_in_python
 from models.gap.report.gap_page import gap_lead, gap_sections
 from models.shared.pages import (
     NO_VALUE,
-    CommandList,
     Paragraph,
     Section,
     Table,
@@ -39,7 +39,7 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter) -> str:
         _robot(inputs),
         *_plans(data),
         not_named,
-        Section("made", "Commands", [CommandList(inputs.commands)]),
+        Section("made", "Commands", [folded_commands(inputs.commands)]),
     ]
     lead = [
         origin_notice(origins_of([*inputs.trials, *inputs.sealed])),
@@ -75,8 +75,8 @@ def _results(data: BeforeAfter) -> Table:
     rows.append(["Coverage of the 95\u00a0% interval at this payload", *coverage, ""])
     return Table(
         "", ["", *(HEADINGS[v] for v in variants), "gap removed"], rows,
-        "Hidden and found strength need not agree within the standard error of the fit, because "
-        "the rig has equations of its own.",
+        "The hidden and the estimated strength may differ by more than the standard error, because "
+        "the equations of the rig differ from those of the plant.",
     )  # fmt: skip
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import (
     ANGLE,
-    CPU_TIME,
     FILE_SIZE,
     FRACTION,
     LENGTH,
@@ -31,7 +30,6 @@ from models.shared.pages import (
     Figure,
     Folded,
     LegendEntry,
-    Paragraph,
     Part,
     Table,
     TableCell,
@@ -85,7 +83,7 @@ def linear_parts(plant: Plant) -> list[Part]:
         ),
         legend=legend,
     )
-    header = ["payload", "mode in Hz", "damping ratio in %", "share of the link's bend in %"]
+    header = ["payload", "frequency in Hz", "damping ratio in %", "share of the link's bend in %"]
     return [figure, Table("Modes", header, rows)] if rows else [figure]
 
 
@@ -155,18 +153,21 @@ def _parameter_table(plant: Plant) -> Table | None:
 def fmu_parts(checks: Mapping[str, FmuCheckOutput]) -> list[Part]:
     if not checks:
         return []
-    listed = [
-        f"{name}: FMI {check.fmi}, {FILE_SIZE.text(check.bytes)}, "
-        f"{'all checks passed' if check.passed else 'a check failed'}"
-        + "".join(
-            f", {us:.0f}\u00a0{CPU_TIME.name} per step {how.replace('_', ' ')}"
-            for how, us in check.step_us.items()
-        )
-        for name, check in checks.items()
-    ]
-    kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
-    rows = [[kind, *(_check_cell(check, kind) for check in checks.values())] for kind in kinds]
-    return [Paragraph("; ".join(listed) + "."), Table("Checks", ["", *checks], rows)]
+    each = checks.values()
+    steps = dict.fromkeys(how for check in each for how in check.step_us)
+    kinds = dict.fromkeys(c.name for check in each for c in check.checks)
+    rows: list[list[Cell]] = [
+        ["FMI", *(str(check.fmi) for check in each)],
+        ["size", *(FILE_SIZE.text(check.bytes) for check in each)],
+        *([f"time of a step, {how.replace('_', ' ')}", *(_step_time(check, how) for check in each)]
+          for how in steps),
+        *([kind, *(_check_cell(check, kind) for check in each)] for kind in kinds),
+    ]  # fmt: skip
+    return [Table("", ["", *checks], rows, "Checks of dropstitch fmu check.")]
+
+
+def _step_time(check: FmuCheckOutput, how: str) -> str:
+    return f"{check.step_us[how]:.0f}\u00a0µs" if how in check.step_us else NO_VALUE
 
 
 def _check_cell(check: FmuCheckOutput, kind: str) -> Cell:

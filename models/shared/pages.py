@@ -21,6 +21,9 @@ from models.shared.palette import css_variables
 NO_VALUE = "–"
 """Text of a table cell without a value."""
 
+PHONE_COLUMNS: Final = 4
+"""Most columns of numbers that fit on a phone."""
+
 Text = str | Markup
 
 
@@ -64,6 +67,12 @@ class Table:
     header: Sequence[Text]  # Names of the columns
     rows: Sequence[Sequence[Cell]]  # Cells, one per column
     note: str = ""
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether a phone shows each row as a list; shades need their rows and columns."""
+        shaded = any(cell.shade is not None for row in self.cells for cell in row)
+        return len(self.header) > PHONE_COLUMNS and not shaded
 
     @property
     def cells(self) -> list[list[TableCell]]:

@@ -88,8 +88,8 @@ def gap_lead(
         Paragraph(document.headline, "lead"),
         *_checks(document),
         Paragraph(next_step),
-        _errors(document),
         _signals(document, curves),
+        _errors(document),
     ]
 
 
@@ -97,8 +97,9 @@ def _signals(document: GapDocument, curves: Sequence[SignalCurves]) -> Figure:
     legend = [LegendEntry(MEASURED, "measured"), *BEFORE_AND_AFTER[: len(curves[0].simulated)]]
     legend += [LegendEntry(MUTED, "noise floor")] if document.floor_rms else []
     return Figure(
-        "", f"Trial {curves[0].trial.name}, in which the error of the first signal changes most; "
-        "below each signal its error, measured minus simulated.",
+        "Measured and simulated",
+        f"Trial {curves[0].trial.name}, in which the error of the first signal changes most; below "
+        "each signal its error, measured minus simulated.",
         [_signal(row) for row in curves],
         legend=legend,
     )  # fmt: skip
