@@ -60,8 +60,6 @@ class FmuCheckOutput(msgspec.Struct, frozen=True):
     bytes: int  # Size of the file
     passed: bool
     checks: tuple[CheckRow, ...]
-    parity: dict[str, float]  # Largest difference from the interpreted model by output, SI units
-    parity_limit: float
     step_us: dict[str, float]  # Time of a step in µs: "bare", and "with_sets_and_gets"
 
 

@@ -18,6 +18,7 @@ from models.shared.pages import (
     Section,
     Table,
     render_page,
+    value_text,
 )
 from models.trials.origin import origin_notice, origins_of
 
@@ -68,10 +69,14 @@ def _results(data: BeforeAfter) -> Table:
             (heaviest.tip_mean_m, heaviest.fraction_removed),
     }  # fmt: skip
     rows = [
-        [name, *(_length(error.get(v)) for v in variants), _fraction(fraction)]
+        [
+            name,
+            *(value_text(error.get(v), LENGTH) for v in variants),
+            value_text(fraction, FRACTION),
+        ]
         for name, (error, fraction) in distances.items()
     ]
-    coverage = [_fraction(heaviest.interval_coverage.get(v)) for v in variants]
+    coverage = [value_text(heaviest.interval_coverage.get(v), FRACTION) for v in variants]
     rows.append(["Coverage of the 95\u00a0% interval at this payload", *coverage, ""])
     return Table(
         "", ["", *(HEADINGS[v] for v in variants), "gap removed"], rows,
@@ -132,7 +137,7 @@ def _plans(data: BeforeAfter) -> list[Section]:
         return []
     rigid = errors.get("rigid")
     rows = [
-        [HEADINGS[v], _length(rms), f"{rigid / rms:.1f}" if rigid and rms else NO_VALUE]
+        [HEADINGS[v], value_text(rms, LENGTH), f"{rigid / rms:.1f}" if rigid and rms else NO_VALUE]
         for v, rms in errors.items()
     ]
     table = Table(
@@ -150,12 +155,5 @@ def _judged(loop: LoopRun | None) -> str:
     part = judged_part(loop) if loop else None
     if part is None:
         return NO_VALUE
-    return f"{_length(part.mean_euclidean_distance_m)}, {_fraction(part.interval_coverage)}"
-
-
-def _length(value_m: float | None) -> str:
-    return NO_VALUE if value_m is None else LENGTH.text(value_m)
-
-
-def _fraction(value: float | None) -> str:
-    return NO_VALUE if value is None else FRACTION.text(value)
+    distance = value_text(part.mean_euclidean_distance_m, LENGTH)
+    return f"{distance}, {value_text(part.interval_coverage, FRACTION)}"

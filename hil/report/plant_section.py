@@ -33,6 +33,7 @@ from models.shared.pages import (
     Part,
     Table,
     TableCell,
+    value_text,
 )
 from models.shared.palette import ordered_colours
 
@@ -96,7 +97,7 @@ def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:
     }
     parts = columns.values()
     tip: list[list[Cell]] = [
-        [name, _length(part.tip_rms_m), _length(part.rigid_tip_rms_m)]
+        [name, value_text(part.tip_rms_m, LENGTH), value_text(part.rigid_tip_rms_m, LENGTH)]
         for name, part in columns.items()
     ]
     of_payload: list[list[Cell]] = [
@@ -127,10 +128,6 @@ def _signal_error(error: SignalError | None) -> str:
         return NO_VALUE
     unit = error_unit(error.unit)
     return f"{unit.significant(error.rms)} ({unit.factor * error.mae:.3g})"
-
-
-def _length(value_m: float | None) -> str:
-    return NO_VALUE if value_m is None else LENGTH.text(value_m)
 
 
 def _beside_rigid(error: TipError | None) -> str:

@@ -16,6 +16,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from firmware_py.core.output_files import write_whole
+from firmware_py.core.units import DisplayUnit
 from models.shared.palette import css_variables
 
 NO_VALUE = "–"
@@ -23,6 +24,11 @@ NO_VALUE = "–"
 
 PHONE_COLUMNS: Final = 4
 """Most columns of numbers that fit on a phone."""
+
+
+def value_text(value: float | None, unit: DisplayUnit) -> str:
+    return NO_VALUE if value is None else unit.text(value)
+
 
 Text = str | Markup
 

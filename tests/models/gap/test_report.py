@@ -41,6 +41,7 @@ from models.gap.report.gap_json import (
     largest_gaps,
     read_gap_document,
 )
+from models.gap.report.gap_page import localisation_maps
 from models.gap.report.gap_words import (
     amount,
     gap_in_words,
@@ -50,7 +51,6 @@ from models.gap.report.gap_words import (
     next_step_in_words,
     strength_of,
 )
-from models.gap.report.localisation_maps import localisation_maps
 from models.gap.report.separating_motion import NO_MOTION, separating_motion
 from models.gap.report.trial_notes import changed_conditions, notes_in_words
 from models.gap.residuals.localisation import motion_in_words
@@ -430,7 +430,7 @@ def test_a_map_shows_every_value_and_shades_the_significant_ones():
         MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
         MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
     ]
-    _, table = localisation_maps(regions, 0.05)
+    _, table = localisation_maps(regions)
     assert table.title == "Phase of the cycle" and list(table.header) == ["", "1/8", "2/8"]
     (angle, missing), (tip, most) = (row[1:] for row in table.rows)
     assert [cell.text for cell in (angle, missing, tip, most)] == ["3.2", "", "1.0", "12"]
