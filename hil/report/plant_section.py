@@ -156,10 +156,11 @@ def fmu_parts(checks: Mapping[str, FmuCheckOutput]) -> list[Part]:
     rows: list[list[Cell]] = [
         ["FMI", *(str(check.fmi) for check in each)],
         ["size", *(FILE_SIZE.text(check.bytes) for check in each)],
-        *([f"time of a step, {how.replace('_', ' ')}", *(_step_time(check, how) for check in each)]
-          for how in steps),
-        *([kind, *(_check_cell(check, kind) for check in each)] for kind in kinds),
-    ]  # fmt: skip
+    ]
+    for how in steps:
+        words = f"time of a step, {how.replace('_', ' ')}"
+        rows.append([words, *(_step_time(check, how) for check in each)])
+    rows += [[kind, *(_check_cell(check, kind) for check in each)] for kind in kinds]
     return [Table("", ["", *checks], rows, "Checks of dropstitch fmu check.")]
 
 

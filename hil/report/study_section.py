@@ -86,9 +86,9 @@ VERDICTS: Final = {True: "as published", False: "differs", None: "undecided"}
 def study_parts(inputs: BuildInputs) -> list[Part]:
     """Predictors and estimators, motion and errors, and the paper for the paper's link."""
     studies, robot = inputs.studies, inputs.robot_studies
-    tables: list[Part] = [candidate_table(inputs.predictors)] if inputs.predictors else []
+    tables = [candidate_table(inputs.predictors)] if inputs.predictors else []
     if not studies:
-        return tables
+        return [*tables]
     parts: list[Part] = [
         Paragraph(
             "On the robot DI is not measured. The plant observer estimates it from angle and "
