@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
 from hil.report.build_inputs import LoopRun
 from hil.report.build_page import folded_commands
-from hil.report.gap_results import BeforeAfter, GapInputs, judged_part, same_in_python
+from hil.report.gap_results import (
+    BeforeAfter,
+    GapInputs,
+    hidden_and_named,
+    judged_part,
+    same_in_python,
+)
 from models.gap.report.gap_page import gap_lead, gap_sections
 from models.shared.pages import (
     NO_VALUE,
@@ -44,17 +50,10 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter) -> str:
     ]
     lead = [
         origin_notice(origins_of([*inputs.trials, *inputs.sealed])),
-        Paragraph(_hidden_and_named(data)),
+        Paragraph(hidden_and_named(data)),
         *gap_lead(inputs.diagnosis, inputs.before, inputs.after, inputs.trials),
     ]
     return render_page("A hidden effect, from trial to robot", lead, sections)
-
-
-def _hidden_and_named(data: BeforeAfter) -> str:
-    results = [row.said for row in data.hidden.values()] or ["no effect was hidden"]
-    results += [f"{e.replace('_', ' ')} was named without being hidden" for e in data.also_named]
-    text = "; ".join(results)
-    return f"{text[0].upper()}{text[1:]}."
 
 
 def _results(data: BeforeAfter) -> Table:

@@ -295,10 +295,17 @@ def _difference(plant: Plant, trials: TrialSet, runs: ByPayload[NDArray[np.void]
     return worst
 
 
+def hidden_and_named(data: BeforeAfter) -> str:
+    """Which of the hidden effects were named, and what was named beside them."""
+    results = [row.said for row in data.hidden.values()] or ["no effect was hidden"]
+    results += [f"{e.replace('_', ' ')} was named without being hidden" for e in data.also_named]
+    text = "; ".join(results)
+    return f"{text[0].upper()}{text[1:]}."
+
+
 def describe_before_after(data: BeforeAfter) -> str:
     """Return the figures as text for a console."""
-    lines = ["; ".join(row.said for row in data.hidden.values()) or "no effect was hidden"]
-    lines += [f"{name} was named too" for name in data.also_named]
+    lines = [hidden_and_named(data)]
     robot, heaviest = data.robot, data.robot_heaviest
     lines += [
         "twin in FMPy, tip RMS: " + _by_variant(data.fmu.tip_rms_m, data.fmu.fraction_removed),
