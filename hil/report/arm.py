@@ -58,6 +58,7 @@ class ArmMotion:
     true: list[LinkPose]
     predicted: list[LinkPose]
     true_tip_m: Array  # (n, 3), every tick of the cycle
+    still: int  # Frame with the largest bend, which a page shows when nothing moves
     rigid_off_m: float  # Mean distance of a rigid link's tip from the true one
     predicted_off_m: float  # Mean distance of the predicted tip from the true one
 
@@ -80,6 +81,7 @@ def arm_motion(loop: LoopRun) -> ArmMotion | None:
         true=true,
         predicted=[pose_link(shape, angle_rad[k], predicted_m[k]) for k in frames],
         true_tip_m=loop.true_tip_m[rows],
+        still=int(np.linalg.norm(rigid_m - loop.true_tip_m[frames], axis=1).argmax()),
         rigid_off_m=_mean_distance(rigid_m, loop.true_tip_m[frames]),
         predicted_off_m=_mean_distance(predicted_m[rows], loop.true_tip_m[rows]),
     )
@@ -167,12 +169,12 @@ def arm_panel(motion: ArmMotion, loop: LoopRun) -> Panel:
         f"Link of a run ({loop.title}) over {motion.duration_s:.1f} s. Its tip is {rigid} from "
         f"that of a rigid link on average, and {predicted} from the predicted one."
     )
-    return Panel(loop.title, alt, _svg(arm_strokes(motion), motion.duration_s, f"arm-{loop.name}"))
+    return Panel(loop.title, alt, _svg(motion, f"arm-{loop.name}"))
 
 
-def _svg(strokes: list[Stroke], duration_s: float, name: str) -> str:
+def _svg(motion: ArmMotion, name: str) -> str:
     """SVG in which the points of the strokes move; the scale is 400 units per metre."""
-    scale = 400.0
+    strokes, scale = arm_strokes(motion), 400.0
     low, high = frame_of(strokes)
     width, height = scale * (high - low)
     begin = f"0s;{name}.click"
@@ -184,7 +186,7 @@ def _svg(strokes: list[Stroke], duration_s: float, name: str) -> str:
         ]
         width_px = scale * stroke.width_m
         moving = (
-            f'<animate attributeName="points" begin="{begin}" dur="{duration_s:.2f}s" '
+            f'<animate attributeName="points" begin="{begin}" dur="{motion.duration_s:.2f}s" '
             f'repeatCount="{REPEATS}" values="{";".join(frames)}"/>'
             if len(frames) > 1
             else ""
@@ -194,7 +196,8 @@ def _svg(strokes: list[Stroke], duration_s: float, name: str) -> str:
             look += f' stroke-opacity="{stroke.opacity:g}"'
         if stroke.dashed:
             look += f' stroke-dasharray="{3 * width_px:.0f} {2.5 * width_px:.0f}"'
-        rows.append(f'<polyline points="{frames[0]}" {look}>{moving}</polyline>')
+        still = frames[motion.still if moving else 0]
+        rows.append(f'<polyline points="{still}" {look}>{moving}</polyline>')
     return (
         f'<svg id="{name}" viewBox="0 0 {width:.0f} {height:.0f}" fill="none" '
         f'stroke-linecap="round" style="cursor: pointer">{"".join(rows)}</svg>'

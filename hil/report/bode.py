@@ -22,20 +22,23 @@ def bode_panels(
     frequency_hz: Array,
     curves: Sequence[tuple[Response, str]],
     about: str,
-    gain_label: str = "gain",
+    gain_label: str | None = None,
     marks: Sequence[tuple[float, str]] = (),
     limits: tuple[float, float] | None = None,
 ) -> list[Panel]:
     """Gain and phase of `curves` (response, colour), `about` says of what.
 
-    `marks` are frequencies in Hz with their colour, drawn as vertical lines; `limits` a gain and a
-    phase in degrees, drawn as horizontal ones.
+    The gain is in dB unless it has a unit, which `gain_label` names. `marks` are frequencies in Hz
+    with their colour, drawn as vertical lines; `limits` a gain in dB and a phase in degrees, drawn
+    as horizontal ones.
     """
     gains = [np.abs(response) for response, _ in curves]
     phases = [ANGLE.shown(np.unwrap(np.angle(response))) for response, _ in curves]
+    if gain_label is None:
+        gains = [20.0 * np.log10(gain) for gain in gains]
     panels = []
     for title, values, ylabel in (
-        ("Gain", gains, gain_label), ("Phase", phases, ANGLE.label("phase")),
+        ("Gain", gains, gain_label or "gain in dB"), ("Phase", phases, ANGLE.label("phase")),
     ):  # fmt: skip
         with Drawing() as (drawing, ax):
             for mark_hz, colour in marks:
@@ -46,10 +49,10 @@ def bode_panels(
             plot_lines(ax, [Line(frequency_hz, y, colour, width=1.2) for y, (_, colour) in lines])
             log_axis(ax, frequency_hz, "x")
             ax.set(xlabel="frequency in Hz", ylabel=ylabel)
-            if title == "Gain":
-                log_axis(ax, np.concatenate(values))
-            else:
+            if title == "Phase":
                 _degrees(ax)
+            elif gain_label is not None:
+                log_axis(ax, np.concatenate(values))
         panels.append(drawing.panel(title, f"{title} {about} over frequency."))
     return panels
 

@@ -15,8 +15,9 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -59,8 +60,6 @@ class FmuCheckOutput(msgspec.Struct, frozen=True):
     bytes: int  # Size of the file
     passed: bool
     checks: tuple[CheckRow, ...]
-    parity: dict[str, float]  # Largest difference from the interpreted model by output, SI units
-    parity_limit: float
     step_us: dict[str, float]  # Time of a step in µs: "bare", and "with_sets_and_gets"
 
 
@@ -76,6 +75,7 @@ class LoopRun:
     phase_2_rad: float = 0.0  # Lead of joint 2
     period_s: float | None = None  # Period of the motion
     shape: LinkShape | None = None  # Constants of the link; None if the log lacks them
+    named: bool = False  # Whether its title has its name, because another run is alike
 
     @property
     def dof(self) -> int | None:
@@ -92,12 +92,13 @@ class LoopRun:
 
     @property
     def title(self) -> str:
-        """Joints, phase, payload and line: "2DOF, phase 90°, 1 kg, virtual line"."""
+        """Joints, phase, payload and line, as in "2DOF, phase 90°, 1 kg, virtual line"."""
         environment = self.timing.environment
         words = [f"{self.dof}DOF"] if self.dof else []
         words += [f"phase {ANGLE.number(self.phase_2_rad, 0)}°"] if self.dof == 2 else []
         words.append(PAYLOAD.significant(environment.payload_kg))
-        return ", ".join([*words, f"{environment.line} line"])
+        words.append(f"{environment.line} line")
+        return ", ".join(words) + (f" ({self.name})" if self.named else "")
 
     def time_s(self) -> Array:
         """Time of each recorded tick, from the first one."""
@@ -170,6 +171,8 @@ def read_build(*directories: Path) -> BuildInputs:
     plant_files = _files(directories, "plant.json")
     plant = read_plant(plant_files[0]) if plant_files else None
     loops = [read_loop(path.parent) for path in _files(directories, "*/timing.json")]
+    alike = Counter(loop.title for loop in loops)
+    loops = [replace(loop, named=alike[loop.title] > 1) for loop in loops]
     campaigns = _files(directories, "*/faults.json")
     candidates = [read_predictors(path) for path in _files(directories, "*/predictors.json")]
     studies, left_out = _studies(directories)

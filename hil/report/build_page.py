@@ -17,10 +17,12 @@ from hil.report.fault_section import campaign_parts
 from hil.report.loop_section import arm_parts, error_parts, timing_parts
 from hil.report.plant_section import fmu_parts, plant_parts
 from hil.report.study_section import study_origins, study_parts
+from hil.verdict import Verdict
 from models.shared.pages import (
     Cell,
     CommandList,
     Facts,
+    Folded,
     Notice,
     Paragraph,
     Part,
@@ -99,6 +101,11 @@ def _lead(inputs: BuildInputs) -> str:
     if timed:
         own_misses, slots = sum(t.own_misses for t in timed), sum(t.slots for t in timed)
         sentences.append(f"The loop itself missed {own_misses or 'none'} of {slots} deadlines.")
+        if by_host := sum(t.misses for t in timed) - own_misses:
+            sentences.append(f"The host took {by_host} more.")
+        if undecided := sum(t.verdict is Verdict.INCONCLUSIVE for t in timed):
+            runs = f"{undecided} of {len(timed)} runs" if len(timed) > 1 else "the run"
+            sentences.append(f"The timing of {runs} is inconclusive.")
     return " ".join(sentences)
 
 
@@ -147,6 +154,10 @@ def _trial_origins(inputs: BuildInputs) -> dict[str, tuple[TrialOrigin, ...]]:
     return origins | {f"Study, {name}": study_origins(s) for name, s in inputs.studies.items()}
 
 
+def folded_commands(commands: list[str]) -> Folded:
+    return Folded(f"{len(commands)} commands", [CommandList(commands)])
+
+
 def _made(inputs: BuildInputs) -> list[Part]:
     parts: list[Part] = []
     if origins := origin_table(inputs):
@@ -163,7 +174,7 @@ def _made(inputs: BuildInputs) -> list[Part]:
     if missing := {what: made_by for what, (made_by, content) in lacking.items() if not content}:
         parts.append(missing_inputs(missing))
     if inputs.commands:
-        parts.append(CommandList(inputs.commands))
+        parts.append(folded_commands(inputs.commands))
     versions = [("python", platform.python_version()), ("machine", platform.platform())]
     versions += [(name, importlib.metadata.version(name)) for name in LIBRARIES]
     return [*parts, Facts(versions)]

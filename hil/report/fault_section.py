@@ -42,11 +42,12 @@ def campaign_parts(document: FaultsDocument) -> list[Part]:
 
 def _sentences(document: FaultsDocument) -> list[str]:
     cases, counts = document.cases, document.counts
+    results = f"{counts[Verdict.PASS]} passed, {counts[Verdict.FAIL] or 'none'} failed"
+    if undecided := counts[Verdict.INCONCLUSIVE]:
+        results += f", {undecided} are inconclusive because the host preempted the process"
     sentences = [
-        f"Verdict: {document.verdict}. {document.faults} faults were injected in "
-        f"{len(cases)} cases (once, in bursts and combined): {counts[Verdict.PASS]} passed, "
-        f"{counts[Verdict.FAIL]} failed, {counts[Verdict.INCONCLUSIVE]} are inconclusive because "
-        "the host preempted the process.",
+        f"Verdict: {document.verdict}. {document.faults} faults were injected in {len(cases)} "
+        f"cases (once, in bursts and combined): {results}.",
         "In every case four conditions must hold: no servo is driven for longer than its "
         f"watchdog's {DURATION.text(document.watchdog_s, 0)} without a packet, no goal jumps, "
         "no old data are taken for new, and no servo is still driven at the end. The emulated "

@@ -9,15 +9,22 @@ from numpy.typing import NDArray
 
 from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
 from hil.report.build_inputs import LoopRun
-from hil.report.gap_results import BeforeAfter, GapInputs, judged_part, same_in_python
+from hil.report.build_page import folded_commands
+from hil.report.gap_results import (
+    BeforeAfter,
+    GapInputs,
+    hidden_and_named,
+    judged_part,
+    same_in_python,
+)
 from models.gap.report.gap_page import gap_lead, gap_sections
 from models.shared.pages import (
     NO_VALUE,
-    CommandList,
     Paragraph,
     Section,
     Table,
     render_page,
+    value_text,
 )
 from models.trials.origin import origin_notice, origins_of
 
@@ -39,21 +46,14 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter) -> str:
         _robot(inputs),
         *_plans(data),
         not_named,
-        Section("made", "Commands", [CommandList(inputs.commands)]),
+        Section("made", "Commands", [folded_commands(inputs.commands)]),
     ]
     lead = [
         origin_notice(origins_of([*inputs.trials, *inputs.sealed])),
-        Paragraph(_hidden_and_named(data)),
+        Paragraph(hidden_and_named(data)),
         *gap_lead(inputs.diagnosis, inputs.before, inputs.after, inputs.trials),
     ]
     return render_page("A hidden effect, from trial to robot", lead, sections)
-
-
-def _hidden_and_named(data: BeforeAfter) -> str:
-    results = [row.said for row in data.hidden.values()] or ["no effect was hidden"]
-    results += [f"{e.replace('_', ' ')} was named without being hidden" for e in data.also_named]
-    text = "; ".join(results)
-    return f"{text[0].upper()}{text[1:]}."
 
 
 def _results(data: BeforeAfter) -> Table:
@@ -68,15 +68,19 @@ def _results(data: BeforeAfter) -> Table:
             (heaviest.tip_mean_m, heaviest.fraction_removed),
     }  # fmt: skip
     rows = [
-        [name, *(_length(error.get(v)) for v in variants), _fraction(fraction)]
+        [
+            name,
+            *(value_text(error.get(v), LENGTH) for v in variants),
+            value_text(fraction, FRACTION),
+        ]
         for name, (error, fraction) in distances.items()
     ]
-    coverage = [_fraction(heaviest.interval_coverage.get(v)) for v in variants]
+    coverage = [value_text(heaviest.interval_coverage.get(v), FRACTION) for v in variants]
     rows.append(["Coverage of the 95\u00a0% interval at this payload", *coverage, ""])
     return Table(
         "", ["", *(HEADINGS[v] for v in variants), "gap removed"], rows,
-        "Hidden and found strength need not agree within the standard error of the fit, because "
-        "the rig has equations of its own.",
+        "The hidden and the estimated strength may differ by more than the standard error, because "
+        "the equations of the rig differ from those of the plant.",
     )  # fmt: skip
 
 
@@ -132,7 +136,7 @@ def _plans(data: BeforeAfter) -> list[Section]:
         return []
     rigid = errors.get("rigid")
     rows = [
-        [HEADINGS[v], _length(rms), f"{rigid / rms:.1f}" if rigid and rms else NO_VALUE]
+        [HEADINGS[v], value_text(rms, LENGTH), f"{rigid / rms:.1f}" if rigid and rms else NO_VALUE]
         for v, rms in errors.items()
     ]
     table = Table(
@@ -150,12 +154,5 @@ def _judged(loop: LoopRun | None) -> str:
     part = judged_part(loop) if loop else None
     if part is None:
         return NO_VALUE
-    return f"{_length(part.mean_euclidean_distance_m)}, {_fraction(part.interval_coverage)}"
-
-
-def _length(value_m: float | None) -> str:
-    return NO_VALUE if value_m is None else LENGTH.text(value_m)
-
-
-def _fraction(value: float | None) -> str:
-    return NO_VALUE if value is None else FRACTION.text(value)
+    distance = value_text(part.mean_euclidean_distance_m, LENGTH)
+    return f"{distance}, {value_text(part.interval_coverage, FRACTION)}"

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD
+from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, DisplayUnit, error_unit
 from hil.report.build_inputs import (
     FmuCheckOutput,
     LoopRun,
@@ -42,7 +42,12 @@ from hil.report.build_inputs import (
     read_output,
 )
 from hil.sil.timing_document import TipErrors
-from models.gap.report.gap_json import GapDocument, NamedEffect, read_gap_document
+from models.gap.report.gap_json import (
+    FittedValue,
+    GapDocument,
+    NamedEffect,
+    read_gap_document,
+)
 from models.plant.identification.evaluation import TIP, compare_with_trials
 from models.plant.plant import Plant, read_plant
 from models.shared.catalogue import effect_and_joint
@@ -256,13 +261,20 @@ def _hidden_effect(inputs: GapInputs, hidden: str, strength: float) -> HiddenEff
         # Without a joint, all joints have the same strength.
         q = row.parameters[strengths[(row.joint or joint or 1) - 1]]
         change = q.value - q.before
-        text = f"{words}: {strength:g} hidden, {change:.3g} ± {q.error or 0.0:.1g} found"
+        unit = error_unit(q.unit)
+        text = f"{words}: {unit.significant(strength)} hidden, {_estimate(q, unit)} estimated"
         return HiddenEffect(strength, change, q.error, text)
     text = f"{words} was hidden and not named"
     if alike := [name for name, row in named.items() if effect in _look_alikes(row)]:
         look_alike = alike[0].replace("_", " ")
         text = f"{words} was hidden; its look-alike {look_alike} was named"
     return HiddenEffect(strength, None, None, text)
+
+
+def _estimate(q: FittedValue, unit: DisplayUnit) -> str:
+    """Estimated change of a strength, with its standard error if it has one."""
+    error = "" if q.error is None else f" ± {unit.factor * q.error:.2g}"
+    return f"{unit.factor * (q.value - q.before):.3g}{error} {unit.name}".strip()
 
 
 def _look_alikes(row: NamedEffect) -> set[str]:
@@ -283,10 +295,17 @@ def _difference(plant: Plant, trials: TrialSet, runs: ByPayload[NDArray[np.void]
     return worst
 
 
+def hidden_and_named(data: BeforeAfter) -> str:
+    """Which of the hidden effects were named, and what was named beside them."""
+    results = [row.said for row in data.hidden.values()] or ["no effect was hidden"]
+    results += [f"{e.replace('_', ' ')} was named without being hidden" for e in data.also_named]
+    text = "; ".join(results)
+    return f"{text[0].upper()}{text[1:]}."
+
+
 def describe_before_after(data: BeforeAfter) -> str:
     """Return the figures as text for a console."""
-    lines = ["; ".join(row.said for row in data.hidden.values()) or "no effect was hidden"]
-    lines += [f"{name} was named too" for name in data.also_named]
+    lines = [hidden_and_named(data)]
     robot, heaviest = data.robot, data.robot_heaviest
     lines += [
         "twin in FMPy, tip RMS: " + _by_variant(data.fmu.tip_rms_m, data.fmu.fraction_removed),

@@ -13,6 +13,7 @@ from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, TICK_TIME, TIME
 from firmware_py.system.timing import LABELS
 from hil.report.arm import LEGEND, arm_motion, arm_panel
 from hil.report.build_inputs import LoopRun
+from hil.sil.timing_document import TimingDocument
 from hil.sil.timing_verdict import PREEMPTED_NS
 from hil.verdict import Verdict
 from models.predictor.validation import COVERS, coverage_text
@@ -20,7 +21,6 @@ from models.shared.drawing import Drawing, Line, log_axis, plot_lines
 from models.shared.pages import (
     NO_VALUE,
     Cell,
-    Facts,
     Figure,
     Folded,
     LegendEntry,
@@ -60,8 +60,9 @@ def arm_parts(loops: Sequence[LoopRun]) -> list[Part]:
     if not panels:
         return []
     note = (
-        "One cycle of each run, three times; click to play it again. The run records angles and "
-        "tip; between them the link is drawn with the bend of the plant under a force at its tip."
+        "One cycle of each run, three times; then the link where it bends most. Click to play it "
+        "again. The run records angles and tip; between them the link is drawn as the plant bends "
+        "under a force at its tip."
     )
     return [Figure("", note, panels, legend=LEGEND)]
 
@@ -118,7 +119,7 @@ def distance_figure(loops: Sequence[LoopRun]) -> Figure:
         "Median of each interval, and thin its maximum; ticks with fresh data.", panels,
         legend=[
             LegendEntry(WHOLE, "prediction"), LegendEntry(MUTED, "rigid link"),
-            LegendEntry(ALARM, "inputs outside the training range", "dotted"),
+            LegendEntry(ALARM, "at the top: inputs outside the training range", "dotted"),
             LegendEntry(SPAN, "glide and rest: not in training"),
         ],
     )  # fmt: skip
@@ -133,7 +134,9 @@ def _distance(loop: LoopRun, distance_mm: Array, shown_mm: Sequence[float]) -> P
         if rigid_off_m is not None:
             plot_lines(ax, _envelope(time_s, LENGTH.shown(rigid_off_m), MUTED)[1:])
         plot_lines(ax, _envelope(time_s, distance_mm, WHOLE))
-        ax.plot(time_s[outside], distance_mm[outside], ".", color=ALARM, markersize=3)
+        at_the_top = ax.get_xaxis_transform()
+        ax.plot(time_s[outside], np.full(outside.sum(), 0.985), "|", color=ALARM, markersize=5,
+                transform=at_the_top)  # fmt: skip
         log_axis(ax, shown_mm)
         ax.set(
             xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), xlim=(0, time_s[-1]),
@@ -201,7 +204,6 @@ def timing_parts(loops: Sequence[LoopRun]) -> list[Part]:
         return [Paragraph(only)] if loops else []
     return [
         _timing_table(timed),
-        *(Paragraph(f"{loop.title}: {verdict_sentence(loop)}") for loop in timed),
         *(timing_figure(loop) for loop in timed if loop.ticks is not None),
         Paragraph(
             "The end of a tick counts from the start of its slot. Own cost: without the wake-up "
@@ -211,7 +213,7 @@ def timing_parts(loops: Sequence[LoopRun]) -> list[Part]:
             "note",
         ),
         Folded("Durations of the stages", [_duration_table(loop) for loop in timed]),
-        Folded("Machines and lines", [Facts(_environment(loop)) for loop in timed]),
+        Folded("Machines and lines", [_environment_table(timed)]),
     ]
 
 
@@ -227,7 +229,8 @@ def _timing_table(loops: Sequence[LoopRun]) -> Table:
     ]
     rows: list[list[Cell]] = [
         ["verdict", *(TableCell(str(t.verdict), met.get(t.verdict)) for t in timings)],
-        ["deadlines missed", *(f"{t.misses} of {t.slots}" for t in timings)],
+        ["reason", *(t.reason for t in timings)],
+        ["deadlines missed", *(_missed(t) for t in timings)],
         ["missed by the loop itself", *(str(t.own_misses) for t in timings)],
         ["the same at most, with 95\u00a0% confidence", *bound],
         ["own cost of a tick, p99", *own_p99],
@@ -237,16 +240,12 @@ def _timing_table(loops: Sequence[LoopRun]) -> Table:
     return Table("", ["", *(loop.title for loop in loops)], rows)
 
 
-def verdict_sentence(loop: LoopRun) -> str:
-    timing = loop.timing
-    causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items() if count)
-    lost = (
-        f" {timing.misses} of {timing.slots} slots were missed ({causes}; longest run of "
-        f"misses {timing.longest_run_of_misses})."
-        if causes
-        else ""
-    )
-    return f"{timing.verdict}; {timing.reason}.{lost}"
+def _missed(timing: TimingDocument) -> str:
+    causes = [f"{count} {cause.value}" for cause, count in timing.causes.items() if count]
+    missed = f"{timing.misses} of {timing.slots}"
+    if not causes:
+        return missed
+    return f"{missed} ({', '.join(causes)}; {timing.longest_run_of_misses} in a row at most)"
 
 
 def timing_figure(loop: LoopRun) -> Figure:
@@ -345,17 +344,27 @@ def _duration_table(loop: LoopRun) -> Table:
     )
 
 
-def _environment(loop: LoopRun) -> list[tuple[str, str]]:
+def _environment_table(loops: Sequence[LoopRun]) -> Table:
+    of_loops = [_environment(loop) for loop in loops]
+    names = dict.fromkeys(name for facts in of_loops for name in facts)
+    rows = [[name, *(facts.get(name, NO_VALUE) for facts in of_loops)] for name in names]
+    return Table("", ["", *(loop.title for loop in loops)], rows)
+
+
+def _environment(loop: LoopRun) -> dict[str, str]:
     """Environment of a run in display units."""
     environment = loop.timing.environment
     units = {"_ns": TICK_TIME, "_kg": PAYLOAD}
-    facts = []
+    facts = {}
     for name, value in msgspec.structs.asdict(environment).items():
         if value in ({}, (), None, "") or (name == "load_is" and not environment.load_processes):
             continue
-        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        if isinstance(value, dict):
+            text = ", ".join(f"{key} {number:g}" for key, number in value.items())
+        else:
+            text = f"{value:.4g}" if isinstance(value, float) else str(value)
         for suffix, unit in units.items():
             if name.endswith(suffix):
                 name, text = name.removesuffix(suffix), unit.significant(value)
-        facts.append((name.replace("_", " "), text))
+        facts[name.replace("_", " ")] = text
     return facts

@@ -33,6 +33,7 @@ from models.shared.pages import (
     NO_VALUE,
     Cell,
     Figure,
+    Folded,
     LegendEntry,
     Panel,
     Paragraph,
@@ -84,8 +85,7 @@ class PlannedRun:
     rms_m: float  # RMS path error of that run, from timing.json
     max_m: float  # Largest path error of that run, from timing.json
     goals_rad: Array  # (n, dof), goals that were sent
-    # (n,), trust in the estimated tip (`firmware_py.safety.estimate_trust.TrustState`)
-    trust: NDArray[np.int64]
+    trust: NDArray[np.int64]  # (n,), a `TrustState` of each row
     unknown_kg: float = 0.0  # Further mass at the tip that the configuration lacks
 
     @property
@@ -170,9 +170,9 @@ def plans_page(runs: Sequence[PlannedRun], plant: Plant | None = None) -> str:
     lead: list[Part] = [
         EMULATED,
         Paragraph(
-            "The robot's own loop ran each plan against emulated servos, with the rig behind them. "
-            "The rig is no twin: its equations differ from those of the plant that was inverted, "
-            "and its variation is drawn with a seed that planning never saw.", "lead",
+            "The robot's loop ran each plan against emulated servos, with the rig behind them. The "
+            "equations of the rig differ from those of the plant that was inverted, and its "
+            "variation is drawn with another seed.", "lead",
         ),
         _error_table(runs),
     ]  # fmt: skip
@@ -202,7 +202,7 @@ def _error_table(runs: Sequence[PlannedRun]) -> Table:
         rows.append(row)
     targets = ", ".join(f"{1 / most:.0f} ({RATIOS[k]})" for k, most in PATH_RMS_TO_RIGID.items())
     return Table(
-        "Distance of the tip from its path, RMS in mm, rest and ways included",
+        "Distance of the tip from its path, RMS in mm, with rest, approach and return",
         ["", *WORDS.values(), *(f"rigid over {RATIOS[k]}" for k in PATH_RMS_TO_RIGID)],
         rows,
         f"Targets: rigid kinematics over the plan at least {targets}.",
@@ -267,21 +267,24 @@ def _trust(runs: Sequence[PlannedRun]) -> list[Section]:
     if not guided:
         return []
     states = (TrustState.FADING, TrustState.LOST)
+    untrusted = [run for run in guided if np.isin(run.trust, states).any()]
     rows = [
         [f"{run.dof}DOF, {_payload_words(run)}",
          *(f"{run.plan.period_s * np.count_nonzero(run.trust == state):.1f}" for state in states)]
-        for run in guided
+        for run in untrusted
     ]  # fmt: skip
+    others = f"{len(guided) - len(untrusted)} of {len(guided)} runs trusted it all the time."
     parts: list[Part] = [
         Paragraph(
-            "Two bad ticks in a row end the trust in the estimated tip: an innovation of a "
-            "current that is too large, a tip out of range or not finite, stale data. The "
+            "Two bad ticks in a row end the trust in the estimated tip: the innovation of a "
+            "current is too large, the tip is out of range or not finite, or data are stale. The "
             f"corrections fade out within {FADE_S:g} s, and the plan goes on without them; or the "
-            "robot stops, where robot.toml says so. They come back once the estimate was good for "
-            "a second. The fault campaign tries every way out of trust (docs/safety.md)."
+            "robot stops, if robot.toml says so. They come back once the estimate was good for a "
+            f"second. {others}"
         ),
-        Table("Time without trust, in s", ["", "fading", "lost"], rows),
     ]
+    if rows:
+        parts.append(Table("Time without trust, in s", ["", "fading", "lost"], rows))
     misled = [run for run in guided if run.knowledge == "misled"]
     if misled:
         legend = [LegendEntry(SPAN, "not trusted")]
@@ -295,7 +298,7 @@ def _trust(runs: Sequence[PlannedRun]) -> list[Section]:
 
 def _payload_words(run: PlannedRun) -> str:
     if run.knowledge != "misled":
-        return f"{run.payload_kg:g} kg, payload {run.knowledge}"
+        return f"{run.payload_kg:g} kg, {WORDS[run.knowledge]}"
     at_tip_kg = run.payload_kg + run.unknown_kg
     return f"{run.payload_kg:g} kg configured, {at_tip_kg:g} kg at the tip"
 
@@ -311,7 +314,7 @@ def _without_trust(run: PlannedRun) -> list[Panel]:
     distance = [Line(run.time_s, LENGTH.shown(run.away_m), PURPLE, width=1.0)]
     untrusted = np.concatenate([[False], run.trust > TrustState.TRUSTED, [False]])
     edges_s = run.plan.period_s * np.flatnonzero(np.diff(untrusted.astype(int)))
-    most_mm, most_deg = LENGTH.text(run.max_m), ANGLE.text(np.abs(beyond_rad).max())
+    most_mm, most_deg = LENGTH.text(run.max_m), ANGLE.text(np.abs(beyond_rad).max(), 2)
     name = f"{run.dof}DOF, {_payload_words(run)}"
     panels = []
     for title, lines, ylabel in (
@@ -342,7 +345,7 @@ def _feedback(plans: Mapping[int, TipPlan], plant: Plant | None) -> list[Section
             "joints at rest, and a link that is 20 % stiffer or softer than the plant says; the "
             "sliding one is drawn."
         ),
-        _margin_table(guided),
+        Folded("Margins over the grid of payloads", [_margin_table(guided)]),
     ]
     if plant is not None:
         for plan in guided.values():
@@ -365,7 +368,7 @@ def _margin_table(plans: Mapping[int, TipPlan]) -> Table:
     ]
     header = ["", "gain margin, dB", "phase margin, °", "crossover, rad/s"]
     targets = f"Targets: {LEAST_GAIN_DB:g} dB and {ANGLE.text(LEAST_PHASE_RAD, 0)}."
-    return Table("Margins over the grid of payloads", header, rows, targets)
+    return Table("", header, rows, targets)
 
 
 def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
@@ -384,7 +387,7 @@ def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
         name = f"{plan.dof}DOF, joint {joint + 1}"
         sliding = [(of_payload[joint][0], c) for of_payload, c in zip(loops, colours, strict=True)]
         panels = bode_panels(
-            frequency_hz, sliding, f"of the loop of {name}, by payload,", limits=(1.0, -180.0)
+            frequency_hz, sliding, f"of the loop of {name}, by payload,", limits=(0.0, -180.0)
         )
         figures.append(Figure(f"Loop of {name}", "", panels, legend=legend))
     return figures

@@ -10,7 +10,6 @@ import numpy as np
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import (
     ANGLE,
-    CPU_TIME,
     FILE_SIZE,
     FRACTION,
     LENGTH,
@@ -31,10 +30,10 @@ from models.shared.pages import (
     Figure,
     Folded,
     LegendEntry,
-    Paragraph,
     Part,
     Table,
     TableCell,
+    value_text,
 )
 from models.shared.palette import ordered_colours
 
@@ -85,7 +84,7 @@ def linear_parts(plant: Plant) -> list[Part]:
         ),
         legend=legend,
     )
-    header = ["payload", "mode in Hz", "damping ratio in %", "share of the link's bend in %"]
+    header = ["payload", "frequency in Hz", "damping ratio in %", "share of the link's bend in %"]
     return [figure, Table("Modes", header, rows)] if rows else [figure]
 
 
@@ -98,7 +97,7 @@ def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:
     }
     parts = columns.values()
     tip: list[list[Cell]] = [
-        [name, _length(part.tip_rms_m), _length(part.rigid_tip_rms_m)]
+        [name, value_text(part.tip_rms_m, LENGTH), value_text(part.rigid_tip_rms_m, LENGTH)]
         for name, part in columns.items()
     ]
     of_payload: list[list[Cell]] = [
@@ -131,10 +130,6 @@ def _signal_error(error: SignalError | None) -> str:
     return f"{unit.significant(error.rms)} ({unit.factor * error.mae:.3g})"
 
 
-def _length(value_m: float | None) -> str:
-    return NO_VALUE if value_m is None else LENGTH.text(value_m)
-
-
 def _beside_rigid(error: TipError | None) -> str:
     if error is None or error.tip_rms_m is None or error.rigid_tip_rms_m is None:
         return NO_VALUE
@@ -155,18 +150,22 @@ def _parameter_table(plant: Plant) -> Table | None:
 def fmu_parts(checks: Mapping[str, FmuCheckOutput]) -> list[Part]:
     if not checks:
         return []
-    listed = [
-        f"{name}: FMI {check.fmi}, {FILE_SIZE.text(check.bytes)}, "
-        f"{'all checks passed' if check.passed else 'a check failed'}"
-        + "".join(
-            f", {us:.0f}\u00a0{CPU_TIME.name} per step {how.replace('_', ' ')}"
-            for how, us in check.step_us.items()
-        )
-        for name, check in checks.items()
+    each = checks.values()
+    steps = dict.fromkeys(how for check in each for how in check.step_us)
+    kinds = dict.fromkeys(c.name for check in each for c in check.checks)
+    rows: list[list[Cell]] = [
+        ["FMI", *(str(check.fmi) for check in each)],
+        ["size", *(FILE_SIZE.text(check.bytes) for check in each)],
     ]
-    kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
-    rows = [[kind, *(_check_cell(check, kind) for check in checks.values())] for kind in kinds]
-    return [Paragraph("; ".join(listed) + "."), Table("Checks", ["", *checks], rows)]
+    for how in steps:
+        words = f"time of a step, {how.replace('_', ' ')}"
+        rows.append([words, *(_step_time(check, how) for check in each)])
+    rows += [[kind, *(_check_cell(check, kind) for check in each)] for kind in kinds]
+    return [Table("", ["", *checks], rows, "Checks of dropstitch fmu check.")]
+
+
+def _step_time(check: FmuCheckOutput, how: str) -> str:
+    return f"{check.step_us[how]:.0f}\u00a0µs" if how in check.step_us else NO_VALUE
 
 
 def _check_cell(check: FmuCheckOutput, kind: str) -> Cell:

@@ -87,9 +87,8 @@ def study_parts(inputs: BuildInputs) -> list[Part]:
     """Predictors and estimators, motion and errors, and the paper for the paper's link."""
     studies, robot = inputs.studies, inputs.robot_studies
     tables = [candidate_table(inputs.predictors)] if inputs.predictors else []
-    candidates: list[Part] = [Folded("Candidates for the robot's predictor", tables)]
     if not studies:
-        return candidates if tables else []
+        return [*tables]
     parts: list[Part] = [
         Paragraph(
             "On the robot DI is not measured. The plant observer estimates it from angle and "
@@ -102,7 +101,8 @@ def study_parts(inputs: BuildInputs) -> list[Part]:
         *error_figures(studies),
         Folded("Predictors and estimators", [predictor_table(studies), di_estimator_table(robot)]),
     ]
-    parts += candidates if tables else []
+    if tables:
+        parts.append(Folded("Candidates for the robot's predictor", tables))
     return parts + comparison_with_paper(studies)
 
 

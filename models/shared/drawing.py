@@ -140,11 +140,16 @@ def _to_svg(figure: Any) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)
     text = re.sub(r"font-family: [^;\"]*;? ?", "", text)
-    text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)  # a hundredth of a point is enough
+    text = re.sub(r"<[^>]*>", _rounded, text)  # tags alone: the text has the labels of the axes
     text = re.sub(r"\n\s*", "\n", text)
     head, end, body = text.partition(">")
     head = re.sub(r' (width|height|version|xmlns(:xlink)?)="[^"]*"', "", head)
     return head + end + body.replace("xlink:href", "href")
+
+
+def _rounded(tag: re.Match[str]) -> str:
+    """Tag with its coordinates in hundredths of a point."""
+    return re.sub(r"(\d+\.\d\d)\d+", r"\1", tag[0])
 
 
 def _with_unique_ids(svg: str, about: str) -> str:

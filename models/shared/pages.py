@@ -16,10 +16,19 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from firmware_py.core.output_files import write_whole
+from firmware_py.core.units import DisplayUnit
 from models.shared.palette import css_variables
 
 NO_VALUE = "–"
 """Text of a table cell without a value."""
+
+PHONE_COLUMNS: Final = 4
+"""Most columns of numbers that fit on a phone."""
+
+
+def value_text(value: float | None, unit: DisplayUnit) -> str:
+    return NO_VALUE if value is None else unit.text(value)
+
 
 Text = str | Markup
 
@@ -64,6 +73,12 @@ class Table:
     header: Sequence[Text]  # Names of the columns
     rows: Sequence[Sequence[Cell]]  # Cells, one per column
     note: str = ""
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether a phone shows each row as a list; shades need their rows and columns."""
+        shaded = any(cell.shade is not None for row in self.cells for cell in row)
+        return len(self.header) > PHONE_COLUMNS and not shaded
 
     @property
     def cells(self) -> list[list[TableCell]]:

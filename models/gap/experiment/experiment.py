@@ -16,6 +16,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, FixedMotionDocument, Kind, Motion
 from firmware_py.core.output_files import write_whole
 from firmware_py.core.signals import PERIOD_S
+from firmware_py.core.units import ANGLE
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
 from models.gap.experiment.rival import Rival
@@ -176,7 +177,7 @@ def planned_motions(
 
 
 def _size(motion: Motion | TrialMeta) -> tuple[str, str]:
-    return f"{motion.amplitude_rad:.3g} rad", f"period {motion.period_s:.3g} s"
+    return ANGLE.text(motion.amplitude_rad), f"period {motion.period_s:.3g} s"
 
 
 def twin_keeps(limits: Limits, outputs: Mapping[str, Array], trial: Trial) -> bool:

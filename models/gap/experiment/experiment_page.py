@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from firmware_py.core.units import ANGLE, TIME
 from models.gap.experiment.experiment import SEPARATED, Experiment
 from models.shared.drawing import Drawing
-from models.shared.pages import Cell, Figure, LegendEntry, Paragraph, Section, Table, render_page
+from models.shared.pages import (
+    Cell,
+    Figure,
+    Folded,
+    LegendEntry,
+    Paragraph,
+    Part,
+    Section,
+    Table,
+    render_page,
+)
 from models.shared.palette import AFTER, BEFORE, MUTED
+
+FIRST_MOTIONS: Final = 8
+"""Motions at the head of the ranking; the others are folded."""
 
 
 def write_experiment_page(experiment: Experiment, path: Path) -> Path:
@@ -22,7 +37,7 @@ def write_experiment_page(experiment: Experiment, path: Path) -> Path:
     sections = [
         Section("motion", "The motion", [_goals(experiment)]),
         Section("separation", "What it separates", [_bars(experiment)]),
-        Section("ranking", "All motions", [_ranking(experiment)]),
+        Section("ranking", "All motions", _ranking(experiment)),
     ]
     path.write_text(render_page("The next experiment", [lead], sections), encoding="utf-8")
     return path
@@ -34,14 +49,13 @@ def _goals(experiment: Experiment) -> Figure:
     goal_rad = motion.goal_rad(time_s)
     with Drawing() as (drawing, ax):
         for j, row in enumerate(goal_rad.T, 1):
-            ax.plot(time_s, row, label=f"joint {j}")
-        for limit in experiment.limits.angle_rad:
-            ax.axhline(limit, color=MUTED, dashes=(3, 2), linewidth=0.9)
-        ax.set_xlabel("time in s")
-        ax.set_ylabel("goal in rad")
+            ax.plot(time_s, ANGLE.shown(row), label=f"joint {j}")
+        for limit_rad in experiment.limits.angle_rad:
+            ax.axhline(ANGLE.factor * limit_rad, color=MUTED, dashes=(3, 2), linewidth=0.9)
+        ax.set(xlabel=TIME.label("time"), ylabel=ANGLE.label("goal"))
         if motion.dof > 1:
             ax.legend(frameon=False)
-    alt = f"Goals between {goal_rad.min():.2f} and {goal_rad.max():.2f} rad."
+    alt = f"Goals between {ANGLE.text(goal_rad.min())} and {ANGLE.text(goal_rad.max())}."
     note = "Goals of the motion; dashed: the limits of the angle."
     return Figure("", note, [drawing.panel(f"Goals, {experiment.best.label}", alt)])
 
@@ -54,11 +68,11 @@ def _bars(experiment: Experiment) -> Figure:
         for colour, r in zip((AFTER, BEFORE), experiment.ranked, strict=False)
     ]
     place, high = np.arange(len(labels), dtype=np.float64), 0.8 / len(series)
-    with Drawing(0.9 + 0.45 * len(labels)) as (drawing, ax):
+    with Drawing(0.9 + 0.5 * len(labels)) as (drawing, ax):
         for k, (colour, _, values) in enumerate(series):
             ax.barh(place + (k - (len(series) - 1) / 2) * high, values, 0.9 * high, color=colour)
         ax.axvline(SEPARATED, color=MUTED, dashes=(3, 2), linewidth=0.9)
-        ax.set_yticks(place, labels)
+        ax.set_yticks(place, [label.replace(" or ", "\nor ") for label in labels])
         ax.invert_yaxis()
         ax.set_xlabel("d′")
         ax.grid(visible=False, axis="y")
@@ -72,7 +86,7 @@ def _bars(experiment: Experiment) -> Figure:
     )  # fmt: skip
 
 
-def _ranking(experiment: Experiment) -> Table:
+def _ranking(experiment: Experiment) -> list[Part]:
     rows: list[list[Cell]] = [
         [
             ranked.label,
@@ -87,4 +101,9 @@ def _ranking(experiment: Experiment) -> Table:
     ]
     pairs = [label.replace("_", " ") for label in experiment.pairs]
     note = "d′ of each pair with the trials at hand → with the motion added."
-    return Table("", ["motion", "payload", "least gain", *pairs], rows, note)
+    head = ["motion", "payload", "least gain", *pairs]
+    best, others = rows[:FIRST_MOTIONS], rows[FIRST_MOTIONS:]
+    parts: list[Part] = [Table("", head, best, note)]
+    if others:
+        parts.append(Folded(f"{len(others)} further motions", [Table("", head, others)]))
+    return parts

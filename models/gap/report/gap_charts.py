@@ -97,38 +97,27 @@ def _fall(pair: tuple[Comparison, ...], signals: Sequence[str]) -> tuple[float, 
 def draw_signal(
     upper: Any, lower: Any, curves: SignalCurves, unit: DisplayUnit, unit_of_errors: DisplayUnit
 ) -> None:
-    """Draw a signal over time on the upper axes, and its errors on the lower ones."""
-    every = max(1, len(curves.time_s) // SHOWN_ROWS)
-    upper.plot(
-        curves.time_s[::every], unit.shown(curves.measured)[::every], color=MEASURED, lw=1.7,
-        label="measured",
-    )  # fmt: skip
-    for values, (colour, label, _) in zip(curves.simulated, BEFORE_AND_AFTER, strict=False):
-        upper.plot(
-            curves.time_s[::every], unit.shown(values)[::every], color=colour, lw=1.0, label=label
-        )
+    """Draw a signal over time on the upper axes; on the lower ones its errors and noise floor."""
+    every = slice(None, None, max(1, len(curves.time_s) // SHOWN_ROWS))
+    time_s = curves.time_s[every]
+    upper.plot(time_s, unit.shown(curves.measured)[every], color=MEASURED, lw=1.7, label="measured")
+    looks = [(entry.colour, entry.label) for entry in BEFORE_AND_AFTER]
+    for values, (colour, label) in zip(curves.simulated, looks, strict=False):
+        upper.plot(time_s, unit.shown(values)[every], color=colour, lw=1.0, label=label)
     upper.set_ylabel(unit.label(signal_words(curves.signal)))
     upper.yaxis.set_major_locator(MaxNLocator(5))
-    draw_errors(lower, curves.time_s, curves.errors, unit_of_errors, curves.floor)
-
-
-def draw_errors(
-    ax: Any,
-    time_s: Array,
-    series: Sequence[Array],
-    unit: DisplayUnit,
-    floor: float | None = None,
-) -> None:
-    """Draw errors over time, the first before and the second after, on a band of ± `floor`."""
-    if floor is not None:
-        ax.axhspan(-unit.factor * floor, unit.factor * floor, color=MUTED, alpha=0.25, lw=0)
-    every = max(1, len(time_s) // SHOWN_ROWS)
-    for values, (colour, *_) in zip(series, BEFORE_AND_AFTER, strict=False):
-        ax.plot(time_s[::every] - time_s[0], unit.shown(values)[::every], color=colour, lw=1.1)
-    most = max((float(np.nanmax(np.abs(unit.shown(v)))) for v in series), default=0.0) or 1.0
-    ax.set(ylim=(-1.08 * most, 1.08 * most), xlim=(0, time_s[-1] - time_s[0]))
-    ax.set(xlabel=TIME.label("time"), ylabel=unit.label("error"))
-    ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+    if curves.floor is not None:
+        floor = unit_of_errors.factor * curves.floor
+        lower.axhspan(-floor, floor, color=MUTED, alpha=0.25, lw=0)
+    errors = [unit_of_errors.shown(error) for error in curves.errors]
+    for error, (colour, _) in zip(errors, looks, strict=False):
+        lower.plot(time_s, error[every], color=colour, lw=1.1)
+    most = float(np.nanmax(np.abs(errors))) or 1.0
+    lower.set(
+        xlabel=TIME.label("time"), ylabel=unit_of_errors.label("error"),
+        xlim=(0, curves.time_s[-1]), ylim=(-1.08 * most, 1.08 * most),
+    )  # fmt: skip
+    lower.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
 
 
 def plot_signals(diagnosis: Diagnosis) -> Figure:

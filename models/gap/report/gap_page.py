@@ -6,6 +6,8 @@ files. `hil.report.gap_page` adds sections about FMU and robot.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -13,7 +15,7 @@ from typing import Final
 from markupsafe import Markup
 
 from firmware_py.core.signals import without_unit
-from firmware_py.core.units import error_unit, signal_unit, signal_words
+from firmware_py.core.units import FRACTION, error_unit, signal_unit, signal_words
 from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_charts import (
     BEFORE_AND_AFTER,
@@ -21,7 +23,7 @@ from models.gap.report.gap_charts import (
     draw_signal,
     signal_curves,
 )
-from models.gap.report.gap_json import GapDocument
+from models.gap.report.gap_json import GapDocument, MappedRegion
 from models.gap.report.gap_words import (
     amount,
     effect_in_words,
@@ -33,7 +35,6 @@ from models.gap.report.gap_words import (
     next_step_in_words,
     refused_in_words,
 )
-from models.gap.report.localisation_maps import localisation_maps
 from models.gap.report.trial_notes import notes_in_words
 from models.gap.residuals.localisation import FALSE_DISCOVERY_RATE, signal_in_words
 from models.plant.plant import Plant
@@ -49,6 +50,7 @@ from models.shared.pages import (
     Part,
     Section,
     Table,
+    TableCell,
     render_page,
 )
 from models.shared.palette import MEASURED, MUTED
@@ -56,6 +58,15 @@ from models.trials.origin import origin_notice, origins_of
 from models.trials.trial import Trial, TrialSet
 
 MOST_HYPOTHESES: Final = 6
+FACTORS: Final = {
+    "phase": "Phase of the cycle", "stroke": "Stroke", "payload": "Payload",
+    "band": "Frequency in Hz", "angle": "Angle", "direction": "Direction",
+}  # fmt: skip
+SHORT_LEVELS: Final = {
+    "way out to positive angles": "out to +", "return from positive angles": "back from +",
+    "way out to negative angles": "out to −", "return from negative angles": "back from −",
+    "towards +": "to +", "towards −": "to −",
+}  # fmt: skip
 
 
 def write_gap_page(
@@ -88,8 +99,8 @@ def gap_lead(
         Paragraph(document.headline, "lead"),
         *_checks(document),
         Paragraph(next_step),
-        _errors(document),
         _signals(document, curves),
+        _errors(document),
     ]
 
 
@@ -97,8 +108,9 @@ def _signals(document: GapDocument, curves: Sequence[SignalCurves]) -> Figure:
     legend = [LegendEntry(MEASURED, "measured"), *BEFORE_AND_AFTER[: len(curves[0].simulated)]]
     legend += [LegendEntry(MUTED, "noise floor")] if document.floor_rms else []
     return Figure(
-        "", f"Trial {curves[0].trial.name}, in which the error of the first signal changes most; "
-        "below each signal its error, measured minus simulated.",
+        "Measured and simulated",
+        f"Trial {curves[0].trial.name}, in which the error of the first signal changes most; below "
+        "each signal its error, measured minus simulated.",
         [_signal(row) for row in curves],
         legend=legend,
     )  # fmt: skip
@@ -154,7 +166,7 @@ def _checks(document: GapDocument) -> list[Part]:
 
 def gap_sections(document: GapDocument) -> list[Section]:
     """Sections of the page below its lead; the last one lists the effects that were not named."""
-    where = localisation_maps(document.map, FALSE_DISCOVERY_RATE)
+    where = localisation_maps(document.map)
     result = [
         Section("what", "What is missing, and what else could explain it", _what(document)),
         Section("where", "Where the gap is", [Paragraph(document.sentence), *where]),
@@ -235,3 +247,58 @@ def _rejected(document: GapDocument) -> Table:
         [reason[0].upper() + reason[1:], ", ".join(names)] for reason, names in by_reason.items()
     ]
     return Table("", ["reason", "effects, with their d′"], rows)
+
+
+# --- maps of where the gap is --------------------------------------------------------------------
+
+
+def localisation_maps(cells: Sequence[MappedRegion]) -> list[Part]:
+    """One table for each factor, all on one scale."""
+    largest = max([c.size for c in cells if c.factor in FACTORS] + [1.5])
+    note = (
+        "RMS of the residual after the nominal parameters were refitted, in noise floors. Only "
+        "shaded values are significant, at a false-discovery rate of "
+        f"{FRACTION.text(FALSE_DISCOVERY_RATE)}."
+    )
+    maps: list[Part] = [
+        _map(title, regions, largest)
+        for factor, title in FACTORS.items()
+        if (regions := [c for c in cells if c.factor == factor])
+    ]
+    return [Paragraph(note, "note"), *maps]
+
+
+def _map(title: str, regions: Sequence[MappedRegion], largest: float) -> Table:
+    levels = sorted({c.level for c in regions}, key=_level_order)
+    by_place = {(c.signal, c.level): c for c in regions}
+    rows: list[list[Cell]] = [
+        [
+            signal_words(signal),
+            *(_shaded(by_place.get((signal, level)), largest) for level in levels),
+        ]
+        for signal in sorted({c.signal for c in regions})
+    ]
+    return Table(title, ["", *(_level_words(level) for level in levels)], rows)
+
+
+def _shaded(region: MappedRegion | None, largest: float) -> TableCell:
+    """Size of a region, shaded by its logarithm from the noise to the largest."""
+    if region is None:
+        return TableCell("")
+    text = f"{region.size:.0f}" if region.size >= 9.95 else f"{region.size:.1f}"
+    if not region.significant:
+        return TableCell(text)
+    return TableCell(text, shade=math.log(max(region.size, 1.0)) / math.log(largest))
+
+
+def _level_order(level: str) -> tuple[float, str]:
+    """Sort key of a level: numeric levels by value, others in a fixed order."""
+    number = re.match(r"[\d.]+", level)
+    if number:
+        return float(number[0]), level
+    order = [*SHORT_LEVELS, "negative", "middle", "positive"]
+    return float(order.index(level) if level in order else len(order)), level
+
+
+def _level_words(level: str) -> str:
+    return SHORT_LEVELS.get(level, level.removesuffix(" Hz").replace(" to ", "–"))

@@ -95,19 +95,23 @@ class ImportVerdict:
 # --- page ----------------------------------------------------------------------------------------
 
 
+OUTCOMES: Final = {
+    "passed": "Imported. Every check passed.",
+    "warned": "Imported, with warnings.",
+    "refused": "Refused.",
+}
+
+
 def write_verdict(verdict: ImportVerdict, directory: Path) -> Path:
     """Write the page of a verdict: findings, measures, pictures."""
-    warned = verdict.word == "warned"
-    lead = Paragraph("Imported, with warnings." if warned else f"The import was {verdict.word}.")
+    lead = Paragraph(OUTCOMES[verdict.word])
     trial = verdict.trial
     notices = [origin_notice(origins_of([trial]))] if trial is not None else []
     rows = [(f.level, f.text, f.remedy) for f in verdict.findings]
-    findings = Table("", ("Level", "What", "Remedy"), rows)
-    measures = Table("", ("Measure", "Value"), _measures(verdict))
-    sections = [
-        Section("findings", "Findings", [findings if rows else Paragraph("Every check passed.")]),
-        Section("measures", "Measures", [measures]),
-    ]
+    sections = [Section("measures", "Measures", [Table("", ("", "value"), _measures(verdict))])]
+    if rows:
+        findings = Table("", ("level", "what", "remedy"), rows)
+        sections.insert(0, Section("findings", "Findings", [findings]))
     if panels := _panels(verdict):
         colours = {MEASURED: "measured", SIMULATED: "nominal, or the servo"}
         legend = tuple(LegendEntry(colour, words) for colour, words in colours.items())

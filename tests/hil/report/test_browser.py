@@ -16,6 +16,7 @@ FLAGS = (
     "--hide-scrollbars", "--enable-logging=stderr",
 )  # fmt: skip
 MEASURE = """<script>
+document.querySelectorAll('details').forEach(e => { e.open = true; });
 const wide = [...document.querySelectorAll('body *')].filter(e => {
   const box = e.getBoundingClientRect();
   return box.right > innerWidth + 1 && !e.closest('.table');
@@ -36,6 +37,8 @@ const figure = document.querySelector('.panels figure').getBoundingClientRect();
 parent.postMessage(JSON.stringify({
   width: innerWidth,
   content: document.documentElement.scrollWidth,
+  scrolled: [...document.querySelectorAll('.table')].filter(
+    e => e.scrollWidth > e.clientWidth + 1).map(e => e.ariaLabel),
   wide: wide.slice(0, 5).map(e => e.outerHTML.slice(0, 120)),
   smallest: Math.min(...text.map(t => t.pixels)),
   outside: text.filter(t => t.outside > 1).map(t => t.words),
@@ -81,6 +84,7 @@ def test_a_page_fits_its_screen_and_its_drawings_are_legible(shown, width, heigh
     measured = json.loads(html.unescape(output[1]))
     assert measured["width"] == width
     assert measured["wide"] == []
+    assert measured["scrolled"] == []
     assert measured["content"] <= width
     assert measured["columns"] == (2 if width > 1000 else 1)
     assert measured["smallest"] >= 9, "pixels of a drawing's text"

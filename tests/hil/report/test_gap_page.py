@@ -37,7 +37,7 @@ def test_fmu_and_diagnosis_are_judged_by_the_files(gap_build):
     assert data.fmu.tip_rms_m["after"] < 1e-6
     row = data.hidden["stiffness_softening"]
     assert row.found == pytest.approx(0.19)
-    assert "0.2 hidden" in row.said and "0.19 ± 0.01 found" in row.said
+    assert row.said == "stiffness softening: 20\u00a0% hidden, 19 ± 1 % estimated"
 
 
 def test_an_fmu_of_another_plant_is_detected(copy):

@@ -15,6 +15,7 @@ from models.gap.report import gap_json as gap
 from models.gap.report import separating_motion as separating_motion_module
 from models.gap.report.diagnosis_files import write_results
 from models.gap.report.effect_checks import GENERAL_CHECK, MOST_CHECKS, effects_to_check
+from models.gap.report.gap_page import localisation_maps
 from models.gap.report.gap_words import (
     amount,
     headline,
@@ -22,7 +23,6 @@ from models.gap.report.gap_words import (
     next_step_in_words,
     strength_of,
 )
-from models.gap.report.localisation_maps import localisation_maps
 from models.gap.report.separating_motion import NO_MOTION, separating_motion
 from models.gap.report.trial_notes import changed_conditions, notes_in_words
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -299,7 +299,7 @@ def test_a_map_shows_every_value_and_shades_the_significant_ones():
         gap.MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
         gap.MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
     ]
-    _, table = localisation_maps(regions, 0.05)
+    _, table = localisation_maps(regions)
     assert table.title == "Phase of the cycle" and list(table.header) == ["", "1/8", "2/8"]
     (angle, missing), (tip, most) = (row[1:] for row in table.rows)
     assert [cell.text for cell in (angle, missing, tip, most)] == ["3.2", "", "1.0", "12"]
