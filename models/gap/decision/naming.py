@@ -15,7 +15,7 @@ effect that stands out from it competes by the error on what was left out
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -91,9 +91,7 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         if len(fit.candidates) == 1:  # two effects may look like a third
             larger = ranked(larger + search.pairs(fit.gain + added**2 / 2))
         rounds.append(larger)
-        more = next(
-            (f for f in larger if _replaces(search, f, fit, math.hypot(least(f), error))), None
-        )
+        grown[-1], more = _grown(search, fit, larger, least, error)
         if more is None:
             break
         grown.append(search.settled(more))
@@ -139,15 +137,30 @@ def ranked(sets: Sequence[SetFit]) -> list[SetFit]:
     return sorted(sets, key=lambda f: -f.gain)
 
 
-def _replaces(search: EffectSearch, larger: SetFit, fit: SetFit, needed: float) -> bool:
-    """Whether a larger set adds the d′ that is needed and its strengths are the same everywhere."""
-    if 2 * (larger.gain - fit.gain) <= needed**2:
-        return False
-    if set(fit.candidates) < set(larger.candidates):
-        nested = search.settled(fit, larger)
-        if 2 * (larger.gain - nested.gain) <= needed**2:
-            return False
-    return _difference(search, larger) <= LARGEST_DIFFERENCE
+def _grown(
+    search: EffectSearch,
+    fit: SetFit,
+    larger: Sequence[SetFit],
+    least: Callable[[SetFit], float],
+    error: float,
+) -> tuple[SetFit, SetFit | None]:
+    """The set, and the first larger one that adds enough d′ at strengths that are the same
+    everywhere.
+
+    A larger set may only lead to a better fit of the same candidates, which then takes its place.
+    `least`: d′ that a set reaches where nothing is missing. `error`: d′ that the equations of the
+    set so far may miss.
+    """
+
+    def adds(other: SetFit) -> bool:
+        return 2 * (other.gain - fit.gain) > least(other) ** 2 + error**2
+
+    for other in larger:
+        if adds(other) and set(fit.candidates) < set(other.candidates):
+            fit = search.settled(fit, other)
+        if adds(other) and _difference(search, other) <= LARGEST_DIFFERENCE:
+            return fit, other
+    return fit, None
 
 
 def _difference(search: EffectSearch, fit: SetFit) -> float:

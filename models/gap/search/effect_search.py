@@ -153,16 +153,17 @@ class EffectSearch:
         """The same set, fitted by this search's estimator until it converges.
 
         `beyond`: fit of more candidates, whose values of these are a further start, because the
-        cost has several minima.
+        cost has several minima. What is free in it of these candidates is free then.
         """
-        starts = [self.estimator.at(fit.point.values)]
+        free, starts = fit.free, [self.estimator.at(fit.point.values)]
         if beyond is not None:
-            starts.append(self.estimator.at(np.where(fit.free, beyond.point.values, 0.0)))
+            free = free | (beyond.free & self.free(fit.candidates))
+            starts.append(self.estimator.at(np.where(free, beyond.point.values, 0.0)))
         start = min(starts, key=lambda p: p.cost)
-        point = self.estimator.fit(start, fit.free, NUISANCE_FIT_STEPS)
+        point = self.estimator.fit(start, free, NUISANCE_FIT_STEPS)
         if point.cost > fit.point.cost:
-            point = fit.point
-        return SetFit(fit.candidates, point, fit.free, self.nothing.point.cost - point.cost)
+            point, free = fit.point, fit.free
+        return SetFit(fit.candidates, point, free, self.nothing.point.cost - point.cost)
 
     def _screened(self, fit: SetFit, names: Sequence[str], least: float) -> list[_Screened]:
         """Candidates after one step, and at strengths far from zero; the best first."""
