@@ -152,8 +152,8 @@ class EffectSearch:
     def settled(self, fit: SetFit, beyond: SetFit | None = None) -> SetFit:
         """The same set, fitted by this search's estimator until it converges.
 
-        `beyond`: fit of more candidates, whose values of these are a further start, because the
-        cost has several minima. What is free in it of these candidates is free then.
+        `beyond`: fit of more candidates. Its values are a further start, because the cost has
+        several minima, and parameters of this set that it fits are fitted here too.
         """
         free, starts = fit.free, [self.estimator.at(fit.point.values)]
         if beyond is not None:

@@ -58,6 +58,14 @@ def test_a_dead_time_is_named_with_its_value_and_added(late):
     assert_no_worse_held_out(late)
 
 
+def test_no_other_effect_is_named_to_fit_the_phase_of_a_dead_time(plant, hidden, diagnosed):
+    trials = hidden(dead_time_1_s=0.03, dead_time_phase_1=-0.9)
+    diagnosis = diagnosed(plant, trials, ("dead_time", "sensor_lag", "viscous_friction"))
+    assert diagnosis.named == ("dead_time",)
+    assert diagnosis.improved.parameters["dead_time_1_s"].value == pytest.approx(0.03, abs=5e-4)
+    assert diagnosis.improved.parameters["dead_time_phase_1"].value == pytest.approx(-0.9, abs=0.02)
+
+
 def test_the_improved_plant_is_read_and_simulates_the_trials(late, tmp_path):
     """Its angle is off by the sensor's noise and what varies between trials: 2 ms of the clock."""
     late.improved.write(tmp_path / "plant.json")
