@@ -20,14 +20,13 @@ from hil.report.study_section import study_origins, study_parts
 from hil.verdict import Verdict
 from models.shared.pages import (
     Cell,
-    CommandList,
     Facts,
-    Folded,
     Notice,
     Paragraph,
     Part,
     Section,
     Table,
+    folded_commands,
     missing_inputs,
     render_page,
 )
@@ -152,10 +151,6 @@ def _trial_origins(inputs: BuildInputs) -> dict[str, tuple[TrialOrigin, ...]]:
     for title, evaluation in inputs.evaluations.items():
         origins[f"Plant, compared with {title}"] = evaluation.origins
     return origins | {f"Study, {name}": study_origins(s) for name, s in inputs.studies.items()}
-
-
-def folded_commands(commands: list[str]) -> Folded:
-    return Folded(f"{len(commands)} commands", [CommandList(commands)])
 
 
 def _made(inputs: BuildInputs) -> list[Part]:

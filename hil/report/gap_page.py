@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
 from hil.report.build_inputs import LoopRun
-from hil.report.build_page import folded_commands
 from hil.report.gap_results import (
     BeforeAfter,
     GapInputs,
@@ -23,6 +22,7 @@ from models.shared.pages import (
     Paragraph,
     Section,
     Table,
+    folded_commands,
     render_page,
     value_text,
 )

@@ -157,6 +157,11 @@ def missing_inputs(commands: Mapping[str, str]) -> Paragraph:
     return Paragraph(Markup("Not in this report: {}.").format(listed), "missing")
 
 
+def folded_commands(commands: Sequence[str]) -> Folded:
+    """The commands that made a page's inputs."""
+    return Folded(f"{len(commands)} commands", [CommandList(commands)])
+
+
 STYLE: Final = Path(__file__).with_name("style.css")
 
 

@@ -15,6 +15,14 @@ from firmware_py.system.stop_signals import STOP_SIGNALS, signals_to
 from tests.firmware_py.simulated_loop import Bus, make
 
 
+@pytest.fixture(autouse=True)
+def default_hangup():
+    """Under `nohup` it is ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 def run_with(number):
     """A run that gets a signal in its read 100, and its bus."""
 

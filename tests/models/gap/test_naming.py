@@ -1,0 +1,146 @@
+"""The rule of naming, on trials that depend linearly on every strength.
+
+There d′ of a set is known: it follows from the projection of the trials on the set's directions. No
+simulation is needed, and whatever differs from the projection is an error of search or rule.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from models.gap.decision.certainty import read_certainty
+from models.gap.decision.naming import MOST_NAMED, name_with_floor
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.nuisance_fit import NuisanceFit
+from models.gap.residuals.fit_parameters import FitParameter, effect_candidates
+from models.gap.search.effect_search import EffectSearch
+from models.plant.identification.noise_floor import TrialGroup
+from models.plant.plant import read_plant
+
+PAYLOADS_KG, COUNT = (0.0, 0.0, 1.0, 1.0), 64
+EFFECTS = (
+    "viscous_friction", "coulomb_friction", "current_bias", "load_offset", "dead_time",
+)  # fmt: skip
+STRENGTH_OF_BOUND = 0.3  # Hidden strengths, and the unit of a direction
+
+
+class LinearResiduals:
+    """Residuals that are linear in the fit parameters; noise has unit variance."""
+
+    def __init__(self, directions, rows):
+        plant = self.plant = read_plant()
+        self.trials = [SimpleNamespace(meta=SimpleNamespace(payload_kg=kg)) for kg in PAYLOADS_KG]
+        self.groups = [TrialGroup("motion", tuple(range(len(PAYLOADS_KG))), ("tip_x_m",), COUNT)]
+        strengths = [effect_candidates(plant, name, 1)[name][0] for name in directions]
+        self.fit_parameters = [FitParameter("link_mass_kg", "nuisance", standard_deviation=1.0)]
+        self.fit_parameters += strengths
+        units = np.array([STRENGTH_OF_BOUND * q.high for q in strengths])
+        slopes = [
+            np.zeros_like(rows),
+            *(d / u for d, u in zip(directions.values(), units, strict=True)),
+        ]
+        self._slopes, self._rows, self.units = np.moveaxis(np.array(slopes), 0, -1), rows, units
+
+    def residuals(self, values):
+        return [self._rows - self._slopes @ values]
+
+    def jacobian(self, values, wanted):
+        return [self._slopes[..., wanted]]
+
+    def as_counted(self, group, spectra):
+        return spectra
+
+
+def unit_floor():
+    """Floor of white noise of unit variance, without an error of the plant's own."""
+    known = {kg: {} for kg in PAYLOADS_KG}
+    return SimpleNamespace(
+        learned=True,
+        whitener=lambda group, trials: np.tile(np.eye(len(trials)), (1, COUNT, 1, 1)),
+        mean=lambda group, trials: np.zeros((len(trials), 1, COUNT)),
+        curves_for=lambda group, trials: (known, "measured"),
+    )
+
+
+@pytest.fixture(scope="module")
+def axes():
+    """Orthogonal directions of unit length, which every payload shows alike: (effects, …)."""
+    rng = np.random.default_rng(3)
+    columns, _ = np.linalg.qr(rng.standard_normal((COUNT, len(EFFECTS))))
+    shape = (len(EFFECTS), len(PAYLOADS_KG), 1, COUNT)
+    return np.broadcast_to(columns.T[:, None, None], shape) / np.sqrt(len(PAYLOADS_KG))
+
+
+def named(directions, rows, equation_error=0.1):
+    """Naming on trials with these directions of the candidates and these rows without noise."""
+    noise = np.random.default_rng(4).standard_normal(rows.shape)
+    estimator = GaussNewton(LinearResiduals(directions, rows + noise), unit_floor())
+    nothing = estimator.fit_nuisance(estimator.start())
+    search = EffectSearch(NuisanceFit(estimator, estimator, nothing))
+    return name_with_floor(search, read_certainty(), equation_error)
+
+
+def trials_with(axes, separations):
+    """Directions of the candidates, and the rows in which each has this d′; at 0 it is absent."""
+    directions = {
+        name: (d or 50.0) * axis for name, d, axis in zip(EFFECTS, separations, axes, strict=True)
+    }
+    rows = sum(d * axis for d, axis in zip(separations, axes, strict=True))
+    return directions, rows
+
+
+def test_effects_are_named_by_what_they_explain_and_with_their_strength(axes):
+    directions, rows = trials_with(axes, (40.0, 0.0, 60.0, 0.0, 0.0))
+    naming = named(directions, rows)
+    assert naming.names == ("current_bias", "viscous_friction")
+    assert naming.fit.separation == pytest.approx(np.hypot(40.0, 60.0), abs=2.0)
+    residuals = naming.search.estimator.residuals
+    found = naming.fit.point.values[1:] / residuals.units
+    assert found == pytest.approx([1.0, 0.0, 1.0, 0.0, 0.0], abs=0.1)
+
+
+def test_noise_names_nothing(axes):
+    assert named(*trials_with(axes, np.zeros(5))).names == ()
+
+
+@pytest.mark.parametrize(
+    ("further", "equation_error", "is_named"),
+    [
+        (40.0, 0.1, True),
+        (read_certainty().separation_of_nothing - 4.0, 0.0, False),
+        (read_certainty().separation_of_nothing + 4.0, 0.0, True),
+        (15.0, 0.2, False),
+    ],
+    ids=["clear", "as nothing reaches", "more than nothing reaches", "within the first's error"],
+)
+def test_a_further_effect_adds_more_than_nothing_does_and_than_an_equation_misses(
+    axes, further, equation_error, is_named
+):
+    directions, rows = trials_with(axes, (further, 100.0, 0.0, 0.0, 0.0))
+    expected = ("coulomb_friction", "viscous_friction") if is_named else ("coulomb_friction",)
+    assert named(directions, rows, equation_error).names == expected
+
+
+def test_no_more_than_three_effects_are_named(axes):
+    naming = named(*trials_with(axes, (60.0, 50.0, 40.0, 20.0, 0.0)), equation_error=0.0)
+    assert naming.names == ("viscous_friction", "coulomb_friction", "current_bias")
+    assert len(naming.names) == MOST_NAMED
+
+
+@pytest.mark.parametrize(("difference", "is_named"), [(0.05, True), (0.3, False)])
+def test_a_further_effect_has_the_same_strength_at_every_payload(axes, difference, is_named):
+    directions, rows = trials_with(axes, (0.0, 80.0, 0.0, 0.0, 0.0))
+    sign = np.where(np.array(PAYLOADS_KG) > 0, 1 + difference, 1 - difference)
+    rows = rows + 60.0 * axes[0] * sign[:, None, None]
+    assert ("viscous_friction" in named(directions, rows).names) is is_named
+
+
+def test_a_pair_takes_the_place_of_a_third_that_looks_like_it(axes):
+    """The third explains more than either of the two alone."""
+    directions, rows = trials_with(axes, (60.0, 60.0, 0.0, 0.0, 0.0))
+    between = (axes[0] + axes[1]) / np.sqrt(2)
+    directions["load_offset"] = 60.0 * (0.95 * between + np.sqrt(1 - 0.95**2) * axes[3])
+    naming = named(directions, rows)
+    assert naming.rounds[0][0].candidates == ("load_offset",)
+    assert set(naming.names) == {"viscous_friction", "coulomb_friction"}
