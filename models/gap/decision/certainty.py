@@ -3,8 +3,9 @@
 Three numbers of a fit give the probabilities that nothing is missing, that its effects are what is
 missing, and that something outside of the catalogue is:
 
-- separation: its d′, over a factor where the plant's own error is larger: on motions and at
-  payloads that it was not identified on, and on a link that changed since;
+- separation: its d′, or what it adds to a smaller set, over a factor where the plant's own error is
+  larger: on motions and at payloads that it was not identified on, and on a link that changed
+  since;
 - difference: by how much the strength of an effect differs between parts of the trials
   (`models.gap.search.strength_consistency`);
 - residual: what is unexplained, in noise floors.
@@ -42,6 +43,14 @@ LINK_CHANGED: Final = 2.0
 """Root mean square change of the link's parameters, in standard deviations of their priors, from
 which it counts as another link. Of 20 data sets for tuning without an effect the same link stayed
 below it in all ten, another one exceeded it in seven of ten."""
+TWO_JOINTS_SCALE: Final = 3.5
+"""Factor on d′ on another link with two joints. Without an effect one of ten data sets of 11 rigs
+for tuning (`python -m bench.gap`, rigs 600 to 611, seed 67) had more than 33; with this factor, the
+least in steps of a half, none is given a name."""
+FURTHER_SCALE: Final = 3.0
+"""Factor on the d′ that an effect adds beside another one on another link, where the error of the
+plant and that of the first effect's equation come together. Chosen on 59 data sets of nine drawn
+rigs, of which six are for tuning (docs/gap/accuracy.md)."""
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -82,9 +91,17 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     # Root mean square error of a fitted strength beyond chance, as a fraction of it
     equation_error: dict[str, float]
 
-    def scale_for(self, estimator: GaussNewton, point: FitPoint) -> float:
-        """Factor by which d′ is larger where nothing is missing, on these trials."""
-        return self.separation_scale[knowledge_of(estimator, point)]
+    def scale_for(self, estimator: GaussNewton, point: FitPoint, is_further: bool = False) -> float:
+        """Factor by which d′ is larger where nothing is missing, on these trials.
+
+        `is_further`: whether it is the d′ of what is missing beside another effect.
+        """
+        knowledge = knowledge_of(estimator, point)
+        if knowledge == "other link" and estimator.residuals.trials[0].meta.dof > 1:
+            return TWO_JOINTS_SCALE
+        if knowledge == "other link" and is_further:
+            return FURTHER_SCALE
+        return self.separation_scale[knowledge]
 
     def least_separation(self, estimator: GaussNewton, point: FitPoint) -> float:
         """d′ that is reached where nothing is missing, on these trials."""

@@ -4,7 +4,8 @@ With a learned noise floor the set begins with the candidate of the largest d′
 larger set takes its place if the d′ that it adds exceeds what is reached where nothing is missing
 and a fraction of the d′ so far, the error of an equation, and if every strength is the same in all
 parts of the trials. Beside sets that add one candidate pairs are tried, since two effects may look
-like a third. The largest of these sets that is more probably what is missing than not is named
+like a third. The largest of these sets is named that is more probably what is missing than not, if
+it leaves nothing of the gap or what it adds to the one before is more probable than not, too
 (`models.gap.decision.certainty`).
 
 Without one the spectrum of the residual takes its place, which holds the gap itself. Then every
@@ -21,7 +22,7 @@ from typing import Final
 
 from models.gap.decision.certainty import Answers, Certainty, Evidence
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.nuisance_fit import NuisanceFit
+from models.gap.estimation.nuisance_fit import LEAST_GAP, NuisanceFit
 from models.gap.search.effect_search import EffectSearch, SetFit
 from models.gap.search.held_out import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.strength_consistency import strength_difference
@@ -78,8 +79,15 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     def least(fit: SetFit) -> float:
         return certainty.least_separation(search.estimator, fit.point)
 
-    def probability(fit: SetFit) -> float:
-        return certainty.answers_for(evidence_of(search, fit, certainty)).catalogue
+    def is_probable(fit: SetFit, smaller: SetFit) -> bool:
+        error = equation_error * smaller.separation
+        evidence = evidence_of(search, fit, certainty, smaller, error)
+        return certainty.answers_for(evidence).catalogue >= NAMED_PROBABILITY
+
+    def is_named(fit: SetFit, smaller: SetFit) -> bool:
+        leaves_nothing = search.estimator.mean_square(fit.point) < LEAST_GAP
+        is_enough = leaves_nothing or not smaller.candidates or is_probable(fit, smaller)
+        return is_enough and is_probable(fit, search.nothing)
 
     grown = [search.settled(next(iter(rounds[0]), search.nothing))]
     while least(grown[-1]) < grown[-1].separation and len(grown[-1].candidates) < MOST_NAMED:
@@ -95,9 +103,10 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         if more is None:
             break
         grown.append(search.settled(more))
-    probable = [fit for fit in grown if probability(fit) >= NAMED_PROBABILITY]
-    best = (probable or grown)[-1]
-    named = best if probable else search.nothing
+    smaller = [search.nothing, *grown[:-1]]
+    can_be_named = [f for f, less in zip(grown, smaller, strict=True) if is_named(f, less)]
+    best = (can_be_named or grown)[-1]
+    named = best if can_be_named else search.nothing
     evidence = evidence_of(search, best, certainty)
     answers = certainty.answers_for(evidence)
     return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)
@@ -122,12 +131,23 @@ def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
     return Naming(fit, best, tuple(rounds), search, evidence, None)
 
 
-def evidence_of(search: EffectSearch, fit: SetFit, certainty: Certainty) -> Evidence:
-    """Numbers of a fit that its probability follows from."""
-    estimator = search.estimator
-    scale = certainty.scale_for(estimator, fit.point) if estimator.floor.learned else 1.0
+def evidence_of(
+    search: EffectSearch,
+    fit: SetFit,
+    certainty: Certainty,
+    smaller: SetFit | None = None,
+    error: float = 0.0,
+) -> Evidence:
+    """Numbers that a probability follows from, of a set or of what it adds to a smaller one.
+
+    `error`: d′ that the equations of the smaller set may miss.
+    """
+    estimator, smaller, scale = search.estimator, smaller or search.nothing, 1.0
+    if estimator.floor.learned:
+        scale = certainty.scale_for(estimator, fit.point, is_further=bool(smaller.candidates))
+    added = 2 * (fit.gain - smaller.gain) - error**2
     return Evidence(
-        separation=fit.separation / scale,
+        separation=math.sqrt(max(added, 0.0)) / scale,
         difference=_difference(search, fit),
         residual=estimator.mean_square(fit.point),
     )

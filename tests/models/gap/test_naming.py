@@ -23,21 +23,24 @@ EFFECTS = (
     "viscous_friction", "coulomb_friction", "current_bias", "load_offset", "dead_time",
 )  # fmt: skip
 STRENGTH_OF_BOUND = 0.3  # Hidden strengths, and the unit of a direction
+LINK_SEPARATION = 20.0  # d′ of one standard deviation of the link
 
 
 class LinearResiduals:
     """Residuals that are linear in the fit parameters; noise has unit variance."""
 
-    def __init__(self, directions, rows):
+    def __init__(self, link, directions, rows):
         plant = self.plant = read_plant()
-        self.trials = [SimpleNamespace(meta=SimpleNamespace(payload_kg=kg)) for kg in PAYLOADS_KG]
+        self.trials = [
+            SimpleNamespace(meta=SimpleNamespace(payload_kg=kg, dof=1)) for kg in PAYLOADS_KG
+        ]
         self.groups = [TrialGroup("motion", tuple(range(len(PAYLOADS_KG))), ("tip_x_m",), COUNT)]
         strengths = [effect_candidates(plant, name, 1)[name][0] for name in directions]
         self.fit_parameters = [FitParameter("link_mass_kg", "nuisance", standard_deviation=1.0)]
         self.fit_parameters += strengths
         units = np.array([STRENGTH_OF_BOUND * q.high for q in strengths])
         slopes = [
-            np.zeros_like(rows),
+            link,
             *(d / u for d, u in zip(directions.values(), units, strict=True)),
         ]
         self._slopes, self._rows, self.units = np.moveaxis(np.array(slopes), 0, -1), rows, units
@@ -65,34 +68,39 @@ def unit_floor():
 
 @pytest.fixture(scope="module")
 def axes():
-    """Orthogonal directions of unit length, which every payload shows alike: (effects, …)."""
+    """Orthogonal directions of unit length, which every payload shows alike.
+
+    They are those of the effects, of the link and of something that is no candidate.
+    """
     rng = np.random.default_rng(3)
-    columns, _ = np.linalg.qr(rng.standard_normal((COUNT, len(EFFECTS))))
-    shape = (len(EFFECTS), len(PAYLOADS_KG), 1, COUNT)
+    columns, _ = np.linalg.qr(rng.standard_normal((COUNT, len(EFFECTS) + 2)))
+    shape = (len(EFFECTS) + 2, len(PAYLOADS_KG), 1, COUNT)
     return np.broadcast_to(columns.T[:, None, None], shape) / np.sqrt(len(PAYLOADS_KG))
 
 
-def named(directions, rows, equation_error=0.1):
-    """Naming on trials with these directions of the candidates and these rows without noise."""
+def named(link, directions, rows, equation_error=0.1):
+    """Naming on trials with these directions of link and candidates, and these rows and noise."""
     noise = np.random.default_rng(4).standard_normal(rows.shape)
-    estimator = GaussNewton(LinearResiduals(directions, rows + noise), unit_floor())
+    estimator = GaussNewton(LinearResiduals(link, directions, rows + noise), unit_floor())
     nothing = estimator.fit_nuisance(estimator.start())
     search = EffectSearch(NuisanceFit(estimator, estimator, nothing))
     return name_with_floor(search, read_certainty(), equation_error)
 
 
-def trials_with(axes, separations):
-    """Directions of the candidates, and the rows in which each has this d′; at 0 it is absent."""
-    directions = {
-        name: (d or 50.0) * axis for name, d, axis in zip(EFFECTS, separations, axes, strict=True)
-    }
-    rows = sum(d * axis for d, axis in zip(separations, axes, strict=True))
-    return directions, rows
+def trials_with(axes, separations, link_change=0.0, outside=0.0):
+    """Directions of link and candidates, and the rows in which each has this d′; at 0 it is absent.
+
+    `link_change`: in standard deviations. `outside`: d′ of what is no candidate.
+    """
+    *of_effects, of_link, of_rest = axes
+    link, found = LINK_SEPARATION * of_link, zip(EFFECTS, separations, of_effects, strict=True)
+    directions = {name: (d or 50.0) * axis for name, d, axis in found}
+    rows = sum(d * axis for d, axis in zip(separations, of_effects, strict=True))
+    return link, directions, rows + link_change * link + outside * of_rest
 
 
 def test_effects_are_named_by_what_they_explain_and_with_their_strength(axes):
-    directions, rows = trials_with(axes, (40.0, 0.0, 60.0, 0.0, 0.0))
-    naming = named(directions, rows)
+    naming = named(*trials_with(axes, (40.0, 0.0, 60.0, 0.0, 0.0)))
     assert naming.names == ("current_bias", "viscous_friction")
     assert naming.fit.separation == pytest.approx(np.hypot(40.0, 60.0), abs=2.0)
     residuals = naming.search.estimator.residuals
@@ -117,9 +125,21 @@ def test_noise_names_nothing(axes):
 def test_a_further_effect_adds_more_than_nothing_does_and_than_an_equation_misses(
     axes, further, equation_error, is_named
 ):
-    directions, rows = trials_with(axes, (further, 100.0, 0.0, 0.0, 0.0))
+    naming = named(*trials_with(axes, (further, 100.0, 0.0, 0.0, 0.0)), equation_error)
     expected = ("coulomb_friction", "viscous_friction") if is_named else ("coulomb_friction",)
-    assert named(directions, rows, equation_error).names == expected
+    assert naming.names == expected
+
+
+@pytest.mark.parametrize(
+    ("link_change", "outside", "is_named"),
+    [(1.0, 10.0, True), (4.0, 10.0, False), (4.0, 0.0, True)],
+)
+def test_on_another_link_a_further_effect_leaves_nothing_or_adds_more(
+    axes, link_change, outside, is_named
+):
+    naming = named(*trials_with(axes, (20.0, 60.0, 0.0, 0.0, 0.0), link_change, outside))
+    assert ("viscous_friction" in naming.names) is is_named
+    assert naming.names[0] == "coulomb_friction"
 
 
 def test_no_more_than_three_effects_are_named(axes):
@@ -130,17 +150,17 @@ def test_no_more_than_three_effects_are_named(axes):
 
 @pytest.mark.parametrize(("difference", "is_named"), [(0.05, True), (0.3, False)])
 def test_a_further_effect_has_the_same_strength_at_every_payload(axes, difference, is_named):
-    directions, rows = trials_with(axes, (0.0, 80.0, 0.0, 0.0, 0.0))
+    link, directions, rows = trials_with(axes, (0.0, 80.0, 0.0, 0.0, 0.0))
     sign = np.where(np.array(PAYLOADS_KG) > 0, 1 + difference, 1 - difference)
     rows = rows + 60.0 * axes[0] * sign[:, None, None]
-    assert ("viscous_friction" in named(directions, rows).names) is is_named
+    assert ("viscous_friction" in named(link, directions, rows).names) is is_named
 
 
 def test_a_pair_takes_the_place_of_a_third_that_looks_like_it(axes):
     """The third explains more than either of the two alone."""
-    directions, rows = trials_with(axes, (60.0, 60.0, 0.0, 0.0, 0.0))
+    link, directions, rows = trials_with(axes, (60.0, 60.0, 0.0, 0.0, 0.0))
     between = (axes[0] + axes[1]) / np.sqrt(2)
     directions["load_offset"] = 60.0 * (0.95 * between + np.sqrt(1 - 0.95**2) * axes[3])
-    naming = named(directions, rows)
+    naming = named(link, directions, rows)
     assert naming.rounds[0][0].candidates == ("load_offset",)
     assert set(naming.names) == {"viscous_friction", "coulomb_friction"}
