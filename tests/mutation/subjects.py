@@ -73,7 +73,9 @@ SUBJECTS = (
     Subject(
         "gap",
         ("models/gap/decision/*.py", "models/gap/search/*.py"),
-        ("tests/models/gap/test_decision.py", "tests/models/gap/test_search.py"),
+        tuple(f"tests/models/gap/test_{part}.py" for part in (
+            "decision", "held_out", "naming", "search",
+        )),
     ),
     Subject("fmu", ("fmu/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
     Subject(

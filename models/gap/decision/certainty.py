@@ -49,7 +49,7 @@ for tuning (`python -m bench.gap`, rigs 600 to 611, seed 67) had more than 33; w
 least in steps of a half, none is given a name."""
 FURTHER_SCALE: Final = 3.0
 """Factor on the d′ that an effect adds beside another one on another link, where the error of the
-plant and that of the first effect's equation come together. Chosen on 59 data sets of nine drawn
+plant and that of the first effect's equation come together. Chosen on 58 data sets of nine drawn
 rigs, of which six are for tuning (docs/gap/accuracy.md)."""
 
 
