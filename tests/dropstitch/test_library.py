@@ -67,7 +67,7 @@ def test_results_show_themselves_in_a_line_a_table_and_a_figure(toy_trials):
 def test_a_plant_is_linearised_for_python_control():
     system = dropstitch.read_plant(BUNDLE / "plant.json").linearise(payload_kg=1.0)
     assert system.dt == 0.017
-    assert (np.abs(system.poles()) < 1.0).all()
+    assert (np.abs(system.poles()) < 1.0 + 1e-9).all()  # the hysteresis remembers: a pole at one
     with pytest.raises(dropstitch.InputError, match="90"):
         dropstitch.read_plant().linearise(angles_rad=[3.0])
 
