@@ -54,6 +54,12 @@ def test_evidence_that_speaks_for_a_name_makes_it_more_probable(less, more):
     assert certainty.answers_for(less).catalogue < certainty.answers_for(more).catalogue
 
 
+def test_an_effect_without_an_entry_is_treated_with_the_most_caution():
+    certainty = read_certainty()
+    known = [certainty.error_of_strength(name) for name in certainty.equation_error]
+    assert certainty.error_of_strength("an effect that was added since") >= max(known)
+
+
 # Look-alikes and hypotheses
 
 CATALOGUE = Answers(0.0, 1.0, 0.0)
