@@ -49,8 +49,9 @@ for tuning (`python -m bench.gap`, rigs 600 to 611, seed 67) had more than 33; w
 least in steps of a half, none is given a name."""
 FURTHER_SCALE: Final = 3.0
 """Factor on the d′ that an effect adds beside another one on another link, where the error of the
-plant and that of the first effect's equation come together. Chosen on 58 data sets of nine drawn
-rigs, of which six are for tuning (docs/gap/accuracy.md)."""
+plant and that of the first effect's equation come together. Chosen on 58 data sets of drawn rigs
+(600 to 605, 1430 to 1432): a false name beside the right one in 1 of 36 data sets with one effect
+instead of 6, both names in 14 of 22 with two instead of 16."""
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

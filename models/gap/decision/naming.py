@@ -4,9 +4,9 @@ With a learned noise floor the set begins with the candidate of the largest d′
 larger set takes its place if the d′ that it adds exceeds what is reached where nothing is missing
 and a fraction of the d′ so far, the error of an equation, and if every strength is the same in all
 parts of the trials. Beside sets that add one candidate pairs are tried, since two effects may look
-like a third. The largest of these sets is named that is more probably what is missing than not, if
-it leaves nothing of the gap or what it adds to the one before is more probable than not, too
-(`models.gap.decision.certainty`).
+like a third. The largest of these sets that is more probably what is missing than not is named
+(`models.gap.decision.certainty`). A set of several must also leave nothing of the gap, or what it
+adds to the one before must itself be more probable than not.
 
 Without one the spectrum of the residual takes its place, which holds the gap itself. Then every
 effect that stands out from it competes by the error on what was left out
@@ -15,6 +15,7 @@ effect that stands out from it competes by the error on what was left out
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -84,10 +85,12 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         evidence = evidence_of(search, fit, certainty, smaller, error)
         return certainty.answers_for(evidence).catalogue >= NAMED_PROBABILITY
 
-    def is_named(fit: SetFit, smaller: SetFit) -> bool:
+    def is_supported(fit: SetFit, smaller: SetFit) -> bool:
+        if not is_probable(fit, search.nothing):
+            return False
+        is_first = not smaller.candidates
         leaves_nothing = search.estimator.mean_square(fit.point) < LEAST_GAP
-        is_enough = leaves_nothing or not smaller.candidates or is_probable(fit, smaller)
-        return is_enough and is_probable(fit, search.nothing)
+        return is_first or leaves_nothing or is_probable(fit, smaller)
 
     grown = [search.settled(next(iter(rounds[0]), search.nothing))]
     while least(grown[-1]) < grown[-1].separation and len(grown[-1].candidates) < MOST_NAMED:
@@ -103,10 +106,10 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         if more is None:
             break
         grown.append(search.settled(more))
-    smaller = [search.nothing, *grown[:-1]]
-    can_be_named = [f for f, less in zip(grown, smaller, strict=True) if is_named(f, less)]
-    best = (can_be_named or grown)[-1]
-    named = best if can_be_named else search.nothing
+    steps = itertools.pairwise([search.nothing, *grown])
+    supported = [fit for smaller, fit in steps if is_supported(fit, smaller)]
+    best = (supported or grown)[-1]
+    named = best if supported else search.nothing
     evidence = evidence_of(search, best, certainty)
     answers = certainty.answers_for(evidence)
     return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)

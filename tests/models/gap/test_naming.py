@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from models.gap.decision.certainty import read_certainty
-from models.gap.decision.naming import MOST_NAMED, name_with_floor
+from models.gap.decision.naming import name_with_floor
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.nuisance_fit import NuisanceFit
 from models.gap.residuals.fit_parameters import FitParameter, effect_candidates
@@ -29,20 +29,17 @@ LINK_SEPARATION = 20.0  # d′ of one standard deviation of the link
 class LinearResiduals:
     """Residuals that are linear in the fit parameters; noise has unit variance."""
 
-    def __init__(self, link, directions, rows):
+    def __init__(self, link, directions, rows, joints):
         plant = self.plant = read_plant()
         self.trials = [
-            SimpleNamespace(meta=SimpleNamespace(payload_kg=kg, dof=1)) for kg in PAYLOADS_KG
+            SimpleNamespace(meta=SimpleNamespace(payload_kg=kg, dof=joints)) for kg in PAYLOADS_KG
         ]
         self.groups = [TrialGroup("motion", tuple(range(len(PAYLOADS_KG))), ("tip_x_m",), COUNT)]
         strengths = [effect_candidates(plant, name, 1)[name][0] for name in directions]
         self.fit_parameters = [FitParameter("link_mass_kg", "nuisance", standard_deviation=1.0)]
         self.fit_parameters += strengths
         units = np.array([STRENGTH_OF_BOUND * q.high for q in strengths])
-        slopes = [
-            link,
-            *(d / u for d, u in zip(directions.values(), units, strict=True)),
-        ]
+        slopes = [link, *(d / u for d, u in zip(directions.values(), units, strict=True))]
         self._slopes, self._rows, self.units = np.moveaxis(np.array(slopes), 0, -1), rows, units
 
     def residuals(self, values):
@@ -78,10 +75,11 @@ def axes():
     return np.broadcast_to(columns.T[:, None, None], shape) / np.sqrt(len(PAYLOADS_KG))
 
 
-def named(link, directions, rows, equation_error=0.1):
+def named(link, directions, rows, equation_error=0.1, joints=1):
     """Naming on trials with these directions of link and candidates, and these rows and noise."""
     noise = np.random.default_rng(4).standard_normal(rows.shape)
-    estimator = GaussNewton(LinearResiduals(link, directions, rows + noise), unit_floor())
+    residuals = LinearResiduals(link, directions, rows + noise, joints)
+    estimator = GaussNewton(residuals, unit_floor())
     nothing = estimator.fit_nuisance(estimator.start())
     search = EffectSearch(NuisanceFit(estimator, estimator, nothing))
     return name_with_floor(search, read_certainty(), equation_error)
@@ -142,10 +140,17 @@ def test_on_another_link_a_further_effect_leaves_nothing_or_adds_more(
     assert naming.names[0] == "coulomb_friction"
 
 
+@pytest.mark.parametrize(
+    ("joints", "link_change", "is_named"), [(1, 4.0, True), (2, 1.0, True), (2, 4.0, False)]
+)
+def test_two_joints_on_another_link_need_a_larger_separation(axes, joints, link_change, is_named):
+    naming = named(*trials_with(axes, (25.0, 0.0, 0.0, 0.0, 0.0), link_change), joints=joints)
+    assert naming.names == (("viscous_friction",) if is_named else ())
+
+
 def test_no_more_than_three_effects_are_named(axes):
     naming = named(*trials_with(axes, (60.0, 50.0, 40.0, 20.0, 0.0)), equation_error=0.0)
     assert naming.names == ("viscous_friction", "coulomb_friction", "current_bias")
-    assert len(naming.names) == MOST_NAMED
 
 
 @pytest.mark.parametrize(("difference", "is_named"), [(0.05, True), (0.3, False)])
