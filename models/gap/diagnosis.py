@@ -312,10 +312,9 @@ def _naming(nuisance: NuisanceFit, settings: GapSettings, report: ReportProgress
     # A rigid load is simulated fast, and no learned floor tells its candidates apart.
     refits_all = not (learned or is_link)
     search = EffectSearch(nuisance, refits_all, report)
-    certainty = read_certainty()
     if learned:
-        return name_with_floor(search, certainty, settings.equation_error_fraction)
-    return name_without_floor(search, certainty)
+        return name_with_floor(search, read_certainty(), settings.equation_error_fraction)
+    return name_without_floor(search)
 
 
 def _disturbed(nuisance: NuisanceFit, naming: Naming) -> tuple[OutlierTrial, ...]:

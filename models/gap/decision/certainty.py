@@ -30,7 +30,9 @@ from models.gap.residuals.fit_parameters import NUISANCE_PRIOR_FRACTION
 
 PATH: Final = Path(__file__).with_name("certainty.json")
 
-Knowledge = Literal["identified", "other link", "other payloads", "other motions"]
+Knowledge = Literal[
+    "identified", "other link", "other link, two joints", "other payloads", "other motions"
+]
 """Whether the plant was identified on such trials, and else what was new to it."""
 
 DECIDED: Final = 0.9
@@ -43,15 +45,6 @@ LINK_CHANGED: Final = 2.0
 """Root mean square change of the link's parameters, in standard deviations of their priors, from
 which it counts as another link. Of 20 data sets for tuning without an effect the same link stayed
 below it in all ten, another one exceeded it in seven of ten."""
-TWO_JOINTS_SCALE: Final = 3.5
-"""Factor on d′ on another link with two joints. Without an effect one of ten data sets of 11 rigs
-for tuning (`python -m bench.gap`, rigs 600 to 611, seed 67) had more than 33; with this factor, the
-least in steps of a half, none is given a name."""
-FURTHER_SCALE: Final = 3.0
-"""Factor on the d′ that an effect adds beside another one on another link, where the error of the
-plant and that of the first effect's equation come together. Chosen on 58 data sets of drawn rigs
-(600 to 605, 1430 to 1432): a false name beside the right one in 1 of 36 data sets with one effect
-instead of 6, both names in 14 of 22 with two instead of 16."""
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -88,6 +81,9 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     residual_of_nothing: float
     # Factor by which d′ is larger there on trials of which less is known of the plant's own error
     separation_scale: dict[Knowledge, float]
+    # The same for the d′ that an effect adds beside another one, where the error of the first one's
+    # equation comes to that of the plant
+    further_scale: dict[Knowledge, float]
     answers: dict[str, list[float]]  # Coefficients of `Evidence.terms` for each answer
     # Root mean square error of a fitted strength beyond chance, as a fraction of it
     equation_error: dict[str, float]
@@ -97,12 +93,8 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
         `is_further`: whether it is the d′ of what is missing beside another effect.
         """
-        knowledge = knowledge_of(estimator, point)
-        if knowledge == "other link" and estimator.residuals.trials[0].meta.dof > 1:
-            return TWO_JOINTS_SCALE
-        if knowledge == "other link" and is_further:
-            return FURTHER_SCALE
-        return self.separation_scale[knowledge]
+        scale = self.further_scale if is_further else self.separation_scale
+        return scale[knowledge_of(estimator, point)]
 
     def least_separation(self, estimator: GaussNewton, point: FitPoint) -> float:
         """d′ that is reached where nothing is missing, on these trials."""
@@ -132,7 +124,9 @@ def knowledge_of(estimator: GaussNewton, point: FitPoint) -> Knowledge:
         return "other motions"
     if 2 * payloads >= len(trials):
         return "other payloads"
-    return "other link" if link_change(estimator, point) > LINK_CHANGED else "identified"
+    if link_change(estimator, point) <= LINK_CHANGED:
+        return "identified"
+    return "other link" if trials[0].meta.dof == 1 else "other link, two joints"
 
 
 def link_change(estimator: GaussNewton, point: FitPoint) -> float:

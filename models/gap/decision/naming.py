@@ -49,6 +49,8 @@ class Naming:
     search: EffectSearch  # Search of the last round, with its estimator
     evidence: Evidence  # Of `best`
     answers: Answers | None  # None without a learned noise floor
+    # With one: the sets that grew from the first name, whether named or not, the smallest first
+    grown: tuple[SetFit, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -80,10 +82,13 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     def least(fit: SetFit) -> float:
         return certainty.least_separation(search.estimator, fit.point)
 
+    def evidence(fit: SetFit, smaller: SetFit) -> Evidence:
+        is_further = bool(smaller.candidates)
+        scale = certainty.scale_for(search.estimator, fit.point, is_further)
+        return evidence_of(search, fit, scale, smaller, equation_error)
+
     def is_probable(fit: SetFit, smaller: SetFit) -> bool:
-        error = equation_error * smaller.separation
-        evidence = evidence_of(search, fit, certainty, smaller, error)
-        return certainty.answers_for(evidence).catalogue >= NAMED_PROBABILITY
+        return certainty.answers_for(evidence(fit, smaller)).catalogue >= NAMED_PROBABILITY
 
     def is_supported(fit: SetFit, smaller: SetFit) -> bool:
         if not is_probable(fit, search.nothing):
@@ -110,12 +115,13 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     supported = [fit for smaller, fit in steps if is_supported(fit, smaller)]
     best = (supported or grown)[-1]
     named = best if supported else search.nothing
-    evidence = evidence_of(search, best, certainty)
-    answers = certainty.answers_for(evidence)
-    return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)
+    of_best = evidence(best, search.nothing)
+    answers = certainty.answers_for(of_best)
+    explored = tuple(map(tuple, rounds))
+    return Naming(named, best, explored, search, of_best, answers, tuple(grown))
 
 
-def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
+def name_without_floor(search: EffectSearch) -> Naming:
     """Set that is named by the errors on what was left out."""
     held_out = HeldOut(search.estimator)
     fit, rounds = search.nothing, []
@@ -130,29 +136,27 @@ def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
             held_out, rounds = HeldOut(search.estimator), [(better,)]
         fit = better
     best = fit if fit.candidates else next(iter(rounds[0]), fit)
-    evidence = evidence_of(search, best, certainty)
-    return Naming(fit, best, tuple(rounds), search, evidence, None)
+    return Naming(fit, best, tuple(rounds), search, evidence_of(search, best), None)
 
 
 def evidence_of(
     search: EffectSearch,
     fit: SetFit,
-    certainty: Certainty,
+    scale: float = 1.0,
     smaller: SetFit | None = None,
-    error: float = 0.0,
+    equation_error: float = 0.0,
 ) -> Evidence:
     """Numbers that a probability follows from, of a set or of what it adds to a smaller one.
 
-    `error`: d′ that the equations of the smaller set may miss.
+    `scale`: factor that d′ is divided by. `equation_error`: fraction of the d′ of the smaller set
+    that its equations may miss.
     """
-    estimator, smaller, scale = search.estimator, smaller or search.nothing, 1.0
-    if estimator.floor.learned:
-        scale = certainty.scale_for(estimator, fit.point, is_further=bool(smaller.candidates))
-    added = 2 * (fit.gain - smaller.gain) - error**2
+    smaller = smaller or search.nothing
+    added = 2 * (fit.gain - smaller.gain) - (equation_error * smaller.separation) ** 2
     return Evidence(
         separation=math.sqrt(max(added, 0.0)) / scale,
         difference=_difference(search, fit),
-        residual=estimator.mean_square(fit.point),
+        residual=search.estimator.mean_square(fit.point),
     )
 
 

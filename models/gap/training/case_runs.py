@@ -5,6 +5,7 @@ What has a file is not run again, so a run that was stopped goes on.
 
 from __future__ import annotations
 
+import itertools
 import time
 import zlib
 from collections.abc import Iterable
@@ -52,6 +53,15 @@ class Strength(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     hidden: float
 
 
+class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Set that took the place of a smaller one, whether it is named or not."""
+
+    candidates: tuple[str, ...]
+    knowledge: Knowledge
+    evidence: Evidence  # With d′ as it is
+    added: Evidence  # Of what it adds to the smaller set
+
+
 class DataSetRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Result of one data set."""
 
@@ -62,9 +72,9 @@ class DataSetRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     # By name: sets of candidates that these trials cannot tell from it
     look_alikes: dict[str, tuple[tuple[str, ...], ...]] = {}
     best: tuple[str, ...] = ()  # Candidate with the largest d′ alone
-    separation: float = 0.0  # d′ of it
     knowledge: Knowledge = "identified"
-    evidence: Evidence = Evidence(0.0, 0.0, 1.0)
+    evidence: Evidence = Evidence(0.0, 0.0, 1.0)  # Of it, with d′ as it is
+    additions: tuple[Addition, ...] = ()
     answers: Answers | None = None
     strengths: tuple[Strength, ...] = ()
     # Whether the whole catalogue tells a denied effect from what was named instead
@@ -180,9 +190,9 @@ def run_hidden_case(case: HiddenCase, plant: Plant) -> DataSetRecord:
         named=diagnosis.named,
         look_alikes=_look_alikes(diagnosis),
         best=best.candidates,
-        separation=best.separation,
         knowledge=knowledge_of(search.estimator, best.point),
-        evidence=evidence_of(search, best, read_certainty()),
+        evidence=evidence_of(search, best),
+        additions=tuple(_additions(diagnosis)),
         answers=diagnosis.answers,
         strengths=tuple(_strengths(diagnosis, rig, case)),
         separable=separable,
@@ -220,6 +230,17 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     """
     known = effect in plant.effects or DELAY_OF.get(effect) in plant.parameters
     return hidden if known else hidden + rig[rig.effects()[effect]]
+
+
+def _additions(diagnosis: Diagnosis) -> Iterable[Addition]:
+    search, error = diagnosis.naming.search, diagnosis.settings.equation_error_fraction
+    for smaller, fit in itertools.pairwise(diagnosis.naming.grown):
+        yield Addition(
+            fit.candidates,
+            knowledge_of(search.estimator, fit.point),
+            evidence_of(search, fit),
+            evidence_of(search, fit, 1.0, smaller, error),
+        )
 
 
 def _look_alikes(diagnosis: Diagnosis) -> dict[str, tuple[tuple[str, ...], ...]]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
@@ -131,7 +132,7 @@ def tuning_cases(number: int) -> list[HiddenCase]:
     """Cases of the drawn rig with a number; refused if it is for testing.
 
     Every other rig keeps its link. Without an effect each also runs another motion and other
-    payloads than its plant was identified on.
+    payloads than its plant was identified on; those with another link also drive two joints.
     """
     if not FIRST_TUNING_NUMBER <= number < FIRST_TEST_NUMBER:
         raise InputError(
@@ -139,12 +140,18 @@ def tuning_cases(number: int) -> list[HiddenCase]:
             f"take rigs from {FIRST_TUNING_NUMBER} to {FIRST_TEST_NUMBER - 1}",
         )  # fmt: skip
     rig = f"{PREFIX}{number}"
-    counts = {"usual": 4, "faint": 2, "nulls": 4, "pairs": 2, "outside": 2}
-    cases = list(hidden_cases(rig, **counts, seed=TUNING_SEED, same_link=bool(number % 2)))
-    *_, first, second = nulls = [case for case in cases if case.kind == "null"]
+    same_link = bool(number % 2)
+    # On another link the plant's own error is larger and differs more from rig to rig.
+    nulls, pairs = (4, 2) if same_link else (8, 3)
+    of_rig = partial(hidden_cases, rig, seed=TUNING_SEED, same_link=same_link)
+    cases = list(of_rig(usual=4, faint=2, nulls=nulls, pairs=pairs, outside=2))
+    first, second = [case for case in cases if case.kind == "null"][2:4]
     motion = OTHER_MOTIONS[(number // 2 + number // 8) % len(OTHER_MOTIONS)]
-    cases = [case for case in cases if case not in nulls[2:]]
-    return [*cases, replace(first, motion=motion), replace(second, payloads="between")]
+    cases[cases.index(first)] = replace(first, motion=motion)
+    cases[cases.index(second)] = replace(second, payloads="between")
+    if not same_link:
+        cases += of_rig(usual=0, faint=0, nulls=3, pairs=0, outside=0, joints=2)
+    return cases
 
 
 def _strength(rng: np.random.Generator, rig: RigParameters, effect: str, size: float) -> float:

@@ -20,9 +20,10 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from firmware_py.core.errors import InputError
-from models.gap.decision.certainty import Certainty, Knowledge
+from models.gap.decision.certainty import Certainty, Evidence, Knowledge
 from models.gap.decision.naming import NAMED_PROBABILITY
-from models.gap.training.case_runs import DataSetRecord, Strength
+from models.gap.estimation.nuisance_fit import LEAST_GAP
+from models.gap.training.case_runs import Addition, DataSetRecord, Strength, effects_of
 from models.plant.identification.noise_floor import Array
 
 ANSWERS: Final = ("catalogue", "nothing", "outside")  # In the order of scikit-learn's classes
@@ -32,7 +33,8 @@ effect must be the same everywhere too, which few of these pass."""
 NAMED_FRACTION: Final = 0.03
 """Fraction of data sets without an effect that may be given a name (requirement)."""
 MOST_FACTOR: Final = 20.0
-"""Largest factor on d′ that is tried."""
+"""Largest factor on d′ that is tried, in steps of `FACTOR_STEP`."""
+FACTOR_STEP: Final = 0.5
 KNOWLEDGE: Final[tuple[Knowledge, ...]] = get_args(Knowledge)
 STUDY_TRIALS: Final[tuple[Knowledge, ...]] = ("identified", "other link")
 """Trials that the probabilities are fitted to; the others have no effect."""
@@ -60,16 +62,15 @@ def fitted_certainty(
     """Certainty from records, and how well it predicts rigs left out."""
     possible = [r for r in records if not r.impossible]
     nulls = _by_knowledge(r for r in possible if r.case.kind == "null")
-    reached = {key: limit([r.separation for r in of_kind]) for key, of_kind in nulls.items()}
+    reached = {
+        key: limit([r.evidence.separation for r in of_kind]) for key, of_kind in nulls.items()
+    }
     least = reached["identified"]
     factors = {key: max(1.0, value / least) for key, value in reached.items()}
     scale = {key: round(factors.get(key, max(factors.values())), 1) for key in KNOWLEDGE}
     study = [r for r in possible if r.knowledge in STUDY_TRIALS]
     noise = limit([r.evidence.residual for r in study if r.case.kind == "null"])
-    scaled = [
-        (msgspec.structs.replace(r.evidence, separation=r.separation / scale[r.knowledge]), r)
-        for r in study
-    ]
+    scaled = [(divided(r.evidence, scale[r.knowledge]), r) for r in study]
     labelled = [
         (evidence, answer, r.case.rig) for evidence, r in scaled
         if (answer := true_answer(r, evidence.separation > least))
@@ -91,6 +92,7 @@ def fitted_certainty(
         separation_of_nothing=round(least, 1),
         residual_of_nothing=round(noise, 3),
         separation_scale=dict(scale),
+        further_scale=dict(scale),
         answers=_coefficients(_regression(best).fit(x, y)),
         equation_error=_rounded(errors),
     )
@@ -99,12 +101,16 @@ def fitted_certainty(
         for key in KNOWLEDGE if key not in STUDY_TRIALS
     }  # fmt: skip
     certainty = msgspec.structs.replace(certainty, separation_scale=scale)
+    further = {key: further_factor(certainty, key, possible) for key in STUDY_TRIALS}
+    beside = {key: max(scale[key], further.get(key, max(further.values()))) for key in KNOWLEDGE}
+    certainty = msgspec.structs.replace(certainty, further_scale=beside)
     in_catalogue = predicted[best][:, ANSWERS.index("catalogue")]
     counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
     report = [
         f"{len(labelled)} data sets of {len(set(rigs))} rigs: {counts}",
         *(f"{key}: d′ up to {reached[key]:.1f} in {len(of_kind)} data sets without an effect, "
           f"factor {scale[key]:g}" for key, of_kind in nulls.items()),
+        *(f"{key}: factor {beside[key]:g} on what an effect adds" for key in STUDY_TRIALS),
         f"residual up to {noise:.2f} noise floors there",
         f"log loss with each rig left out: {loss[best]:.3f} at C = {best:.3g}",
         calibration_table(in_catalogue, y == "catalogue"),
@@ -117,14 +123,45 @@ def _factor_without_names(
     certainty: Certainty, least: float, nulls: Sequence[DataSetRecord]
 ) -> float:
     """Least factor on d′ with which few data sets without an effect are given a name."""
-    for factor in np.arange(least, MOST_FACTOR, 0.5):
-        evidence = [
-            msgspec.structs.replace(r.evidence, separation=r.separation / factor) for r in nulls
-        ]
-        named = [certainty.answers_for(e).catalogue >= NAMED_PROBABILITY for e in evidence]
+    for factor in np.arange(least, MOST_FACTOR, FACTOR_STEP):
+        named = [is_probable(certainty, r.evidence, factor) for r in nulls]
         if sum(named) <= NAMED_FRACTION * len(nulls):
             return float(factor)
     return MOST_FACTOR
+
+
+def further_factor(
+    certainty: Certainty, knowledge: Knowledge, records: Iterable[DataSetRecord]
+) -> float:
+    """Least factor on the d′ that an effect adds with which the fewest decisions are wrong.
+
+    Wrong is a further name that is not hidden, and a hidden one that is not named.
+    """
+    least = certainty.separation_scale[knowledge]
+    rows = [
+        (addition, effects_of(addition.candidates) <= set(r.case.hidden))
+        for r in records for addition in r.additions
+        if addition.knowledge == knowledge and is_probable(certainty, addition.evidence, least)
+    ]  # fmt: skip
+    factors = np.arange(least, MOST_FACTOR, FACTOR_STEP)
+    wrong = [sum(is_added(certainty, a, f) != right for a, right in rows) for f in factors]
+    return round(float(factors[np.argmin(wrong)]), 1)
+
+
+def is_added(certainty: Certainty, addition: Addition, factor: float) -> bool:
+    """Whether a larger set that is probable as a whole is named, with this factor."""
+    leaves_nothing = addition.evidence.residual < LEAST_GAP
+    return leaves_nothing or is_probable(certainty, addition.added, factor)
+
+
+def is_probable(certainty: Certainty, evidence: Evidence, factor: float) -> bool:
+    answers = certainty.answers_for(divided(evidence, factor))
+    return answers.catalogue >= NAMED_PROBABILITY
+
+
+def divided(evidence: Evidence, factor: float) -> Evidence:
+    """Evidence with d′ over a factor."""
+    return msgspec.structs.replace(evidence, separation=evidence.separation / factor)
 
 
 def limit(values: Sequence[float]) -> float:

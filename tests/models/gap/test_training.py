@@ -81,7 +81,7 @@ def made_record(case):
         for e in case.hidden if case.kind != "outside"
     ]  # fmt: skip
     return DataSetRecord(
-        case=case, best=(best,), separation=separation, knowledge=knowledge,
+        case=case, best=(best,), knowledge=knowledge,
         evidence=Evidence(separation, difference, residual),
         named=() if case.kind == "null" else (best,), strengths=tuple(strengths),
     )  # fmt: skip
@@ -118,7 +118,7 @@ def test_a_larger_separation_counts_no_more_where_nothing_reaches_it_too(made_re
     """On another motion the plant's error reaches 24, with consistent strengths."""
     other = [
         msgspec.structs.replace(
-            r, case=replace(r.case, motion="slow"), knowledge="other motions", separation=24.0,
+            r, case=replace(r.case, motion="slow"), knowledge="other motions",
             evidence=Evidence(24.0, 0.05, 1.0),
         )
         for r in made_records if r.case.kind == "null"
