@@ -16,6 +16,7 @@ from models.gap.decision import certainty
 from models.gap.decision.certainty import Certainty, Evidence
 from models.gap.training import __main__ as command
 from models.gap.training.case_runs import (
+    Addition,
     DataSetRecord,
     Strength,
     record_path,
@@ -31,6 +32,7 @@ from models.gap.training.cases import (
 from models.gap.training.fit import (
     equation_errors,
     fitted_certainty,
+    is_added,
     true_answer,
 )
 from models.rig.drawn import rig_named
@@ -44,6 +46,18 @@ def test_the_link_of_a_case_differs_unless_it_is_the_same(same_link):
     (case,) = hidden_cases("default", 1, 0, 0, 0, 0, seed=3, same_link=same_link)
     assert any(rig_of(case)[n] != nominal[n] for n in case.nuisance) is not same_link
     assert rig_of(case)["sensor.frame_tilt_rad"] != 0.0
+
+
+def test_rigs_for_tuning_have_each_kind_of_trials_with_and_without_another_link():
+    for number in (600, 601):
+        cases = tuning_cases(number)
+        assert len(set(map(repr, cases))) == len(cases)
+        assert {case.kind for case in cases} == {"single", "null", "pair", "outside"}
+        assert all(bool(case.nuisance) is (number == 600) for case in cases)
+        nulls = [case for case in cases if case.kind == "null"]
+        assert {"study", "between"} == {case.payloads for case in nulls}
+        assert len({case.motion for case in nulls}) == 2
+        assert any(case.joints == 2 for case in nulls) is (number == 600)
 
 
 @pytest.mark.slow
@@ -154,6 +168,30 @@ def test_the_right_answer_of_a_record_is_unknown_where_the_trials_do_not_show_it
     assert true_answer(record(best=("backlash",)), shows=False) is None
 
 
+@pytest.mark.parametrize(
+    ("residual", "is_named"), [(1.2, (False, True)), (1.0, (True, True))],
+    ids=["much is left", "nothing is left"],
+)  # fmt: skip
+def test_a_further_name_adds_more_than_those_that_are_not_hidden(made_records, residual, is_named):
+    """Beside the first effect others reach a d′ of 30, a hidden second one 80."""
+
+    def with_addition(record, second, added):
+        pair = (*record.best, second)
+        evidence = Evidence(added, 0.25, residual)
+        addition = Addition(pair, "identified", Evidence(100.0, 0.25, residual), evidence)
+        return msgspec.structs.replace(record, additions=(addition,))
+
+    added = {"single": ("creep", 30.0), "pair": ("stiction", 80.0)}
+    records = [
+        with_addition(r, *added[r.case.kind]) if r.case.kind in added else r for r in made_records
+    ]
+    fitted, _ = fitted_certainty(records, {})
+    scale = fitted.further_scale["identified"]
+    rows = {r.case.kind: r.additions[0] for r in records if r.additions}
+    assert tuple(is_added(fitted, rows[kind], scale) for kind in added) == is_named
+    assert all(fitted.further_scale[k] >= fitted.separation_scale[k] for k in fitted.further_scale)
+
+
 @pytest.mark.parametrize("equation", [0.05, 0.2])
 def test_the_error_of_an_equation_is_what_exceeds_chance(equation):
     rng = np.random.default_rng(0)
@@ -193,7 +231,8 @@ def test_the_file_is_replaced_and_names_what_made_it(shipped, monkeypatch, tmp_p
     monkeypatch.setattr(command, "run_cases", diagnose)
     assert command.main(["--out", str(tmp_path / "out"), "--rigs", "8"]) == 0
     written = certainty.read_certainty()
-    assert set(written.separation_scale) == set(get_args(certainty.Knowledge))
+    kinds = set(get_args(certainty.Knowledge))
+    assert set(written.separation_scale) == set(written.further_scale) == kinds
     assert {"python", "mujoco", "models"} <= set(written.made_with)
 
 
