@@ -299,18 +299,21 @@ def _improbable(probability: float, evidence: Evidence) -> str:
 
 def _further(diagnosis: Diagnosis) -> list[RefusedEffects]:
     """Best effect beside the named ones that noise does not explain, but their equations may."""
-    fit, last = diagnosis.naming.fit, diagnosis.naming.rounds[-1]
-    best = next(iter(last), fit)
+    naming, fit = diagnosis.naming, diagnosis.naming.fit
+    tried = [f for f in naming.grown if len(f.candidates) > len(fit.candidates)]
+    best = next(iter(tried or naming.rounds[-1]), fit)
     added = _separation(best.gain - fit.gain)
     wrong = diagnosis.settings.equation_error_fraction * fit.separation
     alike = [_beside(diagnosis, f) for fits in diagnosis.look_alikes.values() for f in fits]
     effects = _beside(diagnosis, best)
     if added <= diagnosis.separation_of_nothing or not effects or effects in alike:
         return []
-    if not diagnosis.naming.is_learned:
+    if not naming.is_learned:
         reason = f"the error on the {joined(diagnosis.left_out)} left out does not fall enough"
         return [RefusedEffects(effects, "held-out error", added, reason)]
-    if added > np.hypot(diagnosis.separation_of_nothing, wrong):
+    if tried:
+        reason = "the plant's own error may look like it"
+    elif added > np.hypot(diagnosis.separation_of_nothing, wrong):
         reason = "its strength would have to differ between payloads, signals and frequencies"
     else:
         reason = f"errors in the named effects' equations may look like it, up to d′ {wrong:.0f}"

@@ -179,8 +179,9 @@ def _better(document: GapDocument) -> list[str]:
 
 def _written_otherwise(document: GapDocument) -> list[str]:
     """Strengths that the written plant has with another value than the named one."""
-    others = []
+    others, of_effects = [], set[str]()
     for row in document.named:
+        of_effects |= set(row.parameters)
         _, value = strength_of(row)
         name = next((n for n, q in row.parameters.items() if q is value), "")
         written = document.written.parameters.get(name)
@@ -188,7 +189,11 @@ def _written_otherwise(document: GapDocument) -> list[str]:
             change = max(abs(value.value - value.before), 1e-12)
             if abs(written.value - value.value) > OTHER_STRENGTH * change:
                 others.append(f"{effect_in_words(row.candidate)} {amount(written)}")
-    return [f"Fitted for the written plant: {', '.join(others)}."] if others else []
+    if not others:
+        return []
+    as_before = " with the rest of the plant as before"
+    how = as_before if set(document.written.parameters) <= of_effects else ""
+    return [f"The written plant has {', '.join(others)}, fitted{how}."]
 
 
 def most_improved_signal(document: GapDocument) -> str | None:
