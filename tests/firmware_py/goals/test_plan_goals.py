@@ -1,15 +1,17 @@
 """Plans on the robot: interpolation by payload, its rate, limits, documents that are refused."""
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S, tick_dtype
-from firmware_py.goals.for_robot import note_on_plant
+from firmware_py.goals.for_robot import goals_of_plan, note_on_plant
 from firmware_py.goals.plan_goals import (
     PlanGoals,
     check_plan_goals,
@@ -176,6 +178,45 @@ def test_a_recording_of_a_payload_beyond_the_plan_is_reported(toy_bundle):
     assert recording_beyond_plan(plan, 0.4) == "" == recording_beyond_plan(plan, 1.04)
     alone = msgspec.structs.replace(plan, payloads=plan.payloads[1:])
     assert "1 kg alone" in recording_beyond_plan(alone, 0.4)
+
+
+# --- plans on a robot and its bundle ------------------------------------------------------------
+
+
+def robot(servos=1, **changes):
+    ids = range(1, servos + 1)
+    values = {
+        "bundle": "b", "bus": BusConfig(port="p"), "payload_kg": 0.5,
+        "servos": tuple(ServoConfig(id=k, model="XM430-W350") for k in ids),
+    }  # fmt: skip
+    return RobotConfig(**values | changes)
+
+
+def test_a_plan_for_the_robot_and_its_bundle_is_run(toy_bundle):
+    bundle = ModelBundle.load(toy_bundle)
+    goals = goals_of_plan(small_plan(toy_bundle), robot(), bundle)
+    assert goals.source.payload_kg == 0.5 and goals.correction is None
+
+
+@pytest.mark.parametrize(
+    ("plan_changes", "robot_changes", "named"),
+    [
+        ({}, {"servos": 2}, "joints"),
+        ({"period_s": 0.02}, {}, "period"),
+        ({"bundle_sha256": "0" * 64}, {}, "another bundle"),
+        ({}, {"payload_kg": None}, "payload_kg"),
+        ({}, {"limits": Limits(angle_rad=(-0.01, 0.01))}, "angle"),
+    ],
+    ids=["joints", "period", "bundle", "unknown payload", "limits"],
+)
+def test_a_plan_that_does_not_suit_the_robot_is_refused(
+    toy_bundle, plan_changes, robot_changes, named
+):
+    bundle = ModelBundle.load(toy_bundle)
+    bundle = replace(bundle, manifest=msgspec.structs.replace(bundle.manifest, estimator="none"))
+    plan = msgspec.structs.replace(small_plan(toy_bundle), **plan_changes)
+    with pytest.raises(InputError, match=named):
+        goals_of_plan(plan, robot(**robot_changes), bundle)
 
 
 # --- plans and maps of another plant ------------------------------------------------------------
