@@ -63,12 +63,6 @@ def is_wrong(record: DataSetRecord) -> bool:
     )
 
 
-def is_doubted(record: DataSetRecord) -> bool:
-    """Whether something outside of the catalogue is reported, or what is named less than likely."""
-    improbable = record.answers is not None and record.answers.catalogue < 0.5
-    return record.verdict == "not in the catalogue" or (bool(record.named) and improbable)
-
-
 def gap_figures(records: Sequence[DataSetRecord]) -> dict[str, Any]:
     """Rates over some records, each with its 95 % interval."""
     of = {
@@ -80,7 +74,9 @@ def gap_figures(records: Sequence[DataSetRecord]) -> dict[str, Any]:
         "wrong_and_closed": rate([is_wrong(r) for r in of["single"]]),
         "false_alarms": rate([r.verdict != "no gap" for r in of["null"]]),
         "pairs_both": rate([set(r.case.hidden) <= effects_of(r.named) for r in of["pair"]]),
-        "outside_said": rate([is_doubted(r) for r in of["outside"] if r.separable]),
+        "outside_said": rate(
+            [r.verdict == "not in the catalogue" for r in of["outside"] if r.separable]
+        ),
     }
 
 

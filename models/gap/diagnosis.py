@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from firmware_py.core.errors import InputError
@@ -35,7 +34,8 @@ from models.gap.residuals.fit_parameters import (
 from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import in_time_blocks
-from models.gap.search.effect_search import EffectSearch, ReportProgress, SetFit
+from models.gap.search.effect_search import EffectSearch, ReportProgress
+from models.gap.search.held_out import HeldOutErrors
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.identification.noise_floor import aligned
@@ -71,8 +71,9 @@ class Diagnosis:
         Probabilities of what is missing; None without a learned noise floor.
     evidence : Evidence
         Numbers that they follow from.
-    gap_left_fraction : float
-        Fraction of the gap's amplitude, in noise floors, that remains with the named effects.
+    gap_left_fraction : float or None
+        Fraction of the gap's amplitude, in noise floors, that remains with the named effects; None
+        without a learned noise floor.
     named : tuple of str
         Missing effects, the one that explains most first; `EFFECT:JOINT` is in one servo alone.
     look_alikes : dict of str to tuple of LookAlike
@@ -82,8 +83,8 @@ class Diagnosis:
     nuisance, naming, written
         Fits: of the nuisance, of the named effects with all sets that were tried, and of what was
         written.
-    located, remaining : tuple of GapRegion
-        Where the gap is after the nuisance fit, and with the named effects.
+    located : tuple of GapRegion
+        Where the gap is after the nuisance fit.
     settings : GapSettings
         Settings of this run.
 
@@ -106,7 +107,7 @@ class Diagnosis:
     verdict: GapVerdict
     answers: Answers | None
     evidence: Evidence
-    gap_left_fraction: float
+    gap_left_fraction: float | None
     named: tuple[str, ...]
     look_alikes: dict[str, tuple[LookAlike, ...]]
     hypotheses: tuple[Hypothesis, ...]
@@ -114,9 +115,8 @@ class Diagnosis:
     naming: Naming
     written: WrittenFit
     left_out: tuple[str, ...]
-    held_out_baseline: dict[str, float]
+    held_out_baseline: HeldOutErrors
     located: tuple[GapRegion, ...]
-    remaining: tuple[GapRegion, ...]
     settings: GapSettings
 
     def __repr__(self) -> str:
@@ -147,9 +147,7 @@ class Diagnosis:
     @property
     def unexplained_fraction(self) -> float:
         """Held-out error of the written plant over that as given, geometric mean over signals."""
-        written = self.written.errors.rms()
-        ratios = [written[s] / rms for s, rms in self.held_out_baseline.items() if rms > 0]
-        return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-9))))) if ratios else 1.0
+        return self.written.errors.fraction_of(self.held_out_baseline)
 
     def summary(self) -> str:
         """Diagnosis in words, as the command prints it."""
@@ -171,7 +169,6 @@ def diagnose(
     report: ReportProgress = lambda text, further: None,
     leave_out: Sequence[str] = (),
     settings: GapSettings = DEFAULT_SETTINGS,
-    floor: NoiseFloor | None = None,
 ) -> Diagnosis:
     """Find and name the effects that a plant lacks, and add them to it.
 
@@ -187,8 +184,6 @@ def diagnose(
         Effects that may not be named.
     settings : GapSettings
         What the user states, and limits.
-    floor : NoiseFloor, optional
-        Noise floor to use instead of the plant file's.
 
     Returns
     -------
@@ -240,20 +235,18 @@ def diagnose(
         while True:
             recorded = without_outliers(trials, outliers)
             used = in_time_blocks(plant, aligned(recorded))
-            nuisance = _nuisance_fit(plant, used, catalogue, settings, floor)
+            nuisance = _nuisance_fit(plant, used, catalogue, settings)
             naming = _naming(nuisance, settings, report)
             more = _disturbed(nuisance, naming) if len(used) == len(recorded) else ()
             if not more:
                 break
             outliers = (*outliers, *more)
         verdict = _verdict(naming)
-        writer = PlantWriter(naming.search, settings.harm_fraction)
+        writer = PlantWriter(naming.search, settings.harm_fraction, settings.same_link)
         written = _written(writer, naming, verdict, settings)
         report("tested on what was left out", 1)
         fitted = improved_plant(plant, naming.search, naming.fit, recorded)
-        located, remaining = (
-            tuple(_located(nuisance, fit)) for fit in (naming.search.nothing, naming.fit)
-        )
+        located = tuple(_located(nuisance))
     return Diagnosis(
         plant=plant,
         improved=improved_plant(plant, naming.search, written, recorded),
@@ -271,9 +264,8 @@ def diagnose(
         naming=naming,
         written=written,
         left_out=tuple(writer.held_out.folds),
-        held_out_baseline=writer.held_out.baseline.rms(),
+        held_out_baseline=writer.held_out.baseline,
         located=located,
-        remaining=remaining,
         settings=settings,
     )
 
@@ -295,14 +287,13 @@ def _nuisance_fit(
     trials: TrialSet,
     catalogue: Sequence[str],
     settings: GapSettings,
-    floor: NoiseFloor | None,
 ) -> NuisanceFit:
     """What the plant misses although link, set-up and variation are refitted."""
     parameters = all_fit_parameters(
         plant, trials.trials, catalogue, is_known_elsewhere(plant, trials), settings.same_link
     )
     residuals = Residuals(plant, trials.trials, parameters)
-    return nuisance_fit_of(residuals, floor or noise_floor_for(residuals))
+    return nuisance_fit_of(residuals, noise_floor_for(residuals))
 
 
 def _naming(nuisance: NuisanceFit, settings: GapSettings, report: ReportProgress) -> Naming:
@@ -334,7 +325,7 @@ def _written(
 ) -> WrittenFit:
     """What is written: never a link that is known not to have changed, nor a mere stand-in."""
     if verdict == "not in the catalogue" and "motions" not in writer.held_out.folds:
-        return writer.unchanged("a stand-in would only fit the motion of these trials")
+        return writer.unchanged("another link would only fit the motion of these trials")
     if not naming.names and (settings.same_link or not naming.is_learned):
         return writer.unchanged()
     return writer.best(naming.fit)
@@ -351,7 +342,7 @@ def _verdict(naming: Naming) -> GapVerdict:
     return "not in the catalogue" if outside else "no gap"
 
 
-def _located(nuisance: NuisanceFit, fit: SetFit) -> list[GapRegion]:
+def _located(nuisance: NuisanceFit) -> list[GapRegion]:
     residuals = nuisance.measured.residuals
-    white = nuisance.measured.whitened(fit.point.rows)
+    white = nuisance.measured.whitened(nuisance.point.rows)
     return locate_gap(residuals.groups, residuals.trials, white)

@@ -50,7 +50,7 @@ def improved_plant(
     parameters = search.estimator.residuals.fit_parameters
     changed = written_values(full, parameters, fit.point.values, fit.free)
     uncertain = _standard_errors(full, search.estimator, fit.point, fit.free)
-    done = "gap closed" if named else "refitted"
+    done = "effects added" if named else "refitted"
     name = f"{plant.name.removesuffix(f', {done}')}, {done}"
     return replace(full.with_values(changed, uncertain), name=name, provenance=origin)
 

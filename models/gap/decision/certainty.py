@@ -132,14 +132,15 @@ def knowledge_of(estimator: GaussNewton, point: FitPoint) -> Knowledge:
 def link_change(estimator: GaussNewton, point: FitPoint) -> float:
     """Root mean square change of the link's parameters, in standard deviations of their priors.
 
-    It is 0 for other loads.
+    The priors are those without `same_link`. It is 0 for other loads.
     """
     if estimator.residuals.plant.load != "link":
         return 0.0
     changes = [
-        value / q.standard_deviation
+        value / fraction
         for q, value in zip(estimator.residuals.fit_parameters, point.values, strict=True)
-        if q.kind == "nuisance" and any(part in q.name for part in NUISANCE_PRIOR_FRACTION)
+        for part, fraction in NUISANCE_PRIOR_FRACTION.items()
+        if q.kind == "nuisance" and part in q.name
     ]
     return float(np.sqrt(np.mean(np.square(changes))))
 

@@ -38,11 +38,12 @@ class WrittenFit:
 class PlantWriter:
     """Fits of a search that may be written, judged on what was left out.
 
-    `harm_fraction`: rise of a signal's held-out error above which a plant is refused.
+    `harm_fraction`: rise of a signal's held-out error above which a plant is refused. `same_link`:
+    whether the link is known not to have changed, so its refitted parameters are not written.
     """
 
-    def __init__(self, search: EffectSearch, harm_fraction: float) -> None:
-        self.search, self.harm_fraction = search, harm_fraction
+    def __init__(self, search: EffectSearch, harm_fraction: float, same_link: bool = False) -> None:
+        self.search, self.harm_fraction, self.same_link = search, harm_fraction, same_link
         self.estimator = search.estimator
         self.held_out = HeldOut(search.estimator)
         parameters = search.estimator.residuals.fit_parameters
@@ -56,16 +57,25 @@ class PlantWriter:
         """The named set, or as much of it as passes: the last name is left out first."""
         refused, names = "", fit.candidates
         for names_written in (names[:count] for count in range(len(names), 0, -1)):
-            order = [self._fit(names_written, fit, refits) for refits in (False, True)]
-            if self._is_earned(*order):
-                order.reverse()
-            for tried in order:
+            for tried in self._variants(names_written, fit):
                 if not (failure := self._failure(tried)):
-                    return replace(tried, refused=refused)
+                    return replace(tried, refused=refused if names_written != names else "")
                 refused = refused or failure
-        unchanged, refitted = self.unchanged(refused), self._fit((), fit, refits=True)
+        unchanged = self.unchanged(refused)
+        if self.same_link:
+            return unchanged
+        refitted = self._fit((), fit, refits=True)
         is_better = self._is_earned(unchanged, refitted) and not self._failure(refitted)
         return replace(refitted, refused=refused) if is_better else unchanged
+
+    def _variants(self, candidates: Sequence[str], fit: SetFit) -> list[WrittenFit]:
+        """Fits with the nuisance as given and as refitted, the one to prefer first."""
+        as_given = self._fit(candidates, fit, refits=False)
+        if self.same_link:
+            return [as_given]
+        refitted = self._fit(candidates, fit, refits=True)
+        is_earned = self._is_earned(as_given, refitted)
+        return [refitted, as_given] if is_earned else [as_given, refitted]
 
     def _failure(self, fit: WrittenFit) -> str:
         """Why a fit may not be written, as a clause; empty if it may."""

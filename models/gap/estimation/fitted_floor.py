@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from firmware_py.core.errors import InputError
-from models.gap.estimation.gauss_newton import FitPoint, GaussNewton, Mask
+from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.residuals import Residuals
 from models.plant.identification.noise_floor import (
@@ -31,7 +31,6 @@ from models.plant.identification.noise_floor import (
     smooth_variance,
 )
 from models.plant.plant import Plant
-from models.trials.trial import Trial
 
 FLOOR_ROUNDS: Final = 2
 """Times that floor and nuisance are estimated in turn, where the plant file carries no floor
@@ -45,14 +44,6 @@ nothing hidden. On 26 changed links of these rigs residuals above 1.63 noise flo
 SLOW_HZ: Final = 2.0
 """Frequency below which a heavy payload makes two trials differ
 (`models.plant.identification.noise_floor`)."""
-
-
-def floor_of_residual(
-    groups: Sequence[TrialGroup], trials: Sequence[Trial], rows: Sequence[Array]
-) -> NoiseFloor:
-    """Floor that equals the smoothed spectrum of a residual."""
-    measured = floor_from_residuals(groups, trials, rows, repeated=False)
-    return NoiseFloor.of(measured, learned=False)
 
 
 def with_repeated_trials(
@@ -101,7 +92,6 @@ def with_amplified_scatter(
     """
     if not floor.learned:
         return floor
-    limit = AMPLIFIED_SCATTER_LIMIT
     ratios: dict[float, list[float]] = {}
     for group, payload_kg, part in _by_payload(residuals, rows):
         if len(part) > 1:
@@ -109,7 +99,8 @@ def with_amplified_scatter(
             ratio = _scatter_ratio(floor, group, part, payload_kg, hz)
             ratios.setdefault(payload_kg, []).append(ratio)
     scatter = {p: float(np.mean(of_groups)) for p, of_groups in ratios.items()}
-    amplified = {p: (1 + ratio) / 2 for p, ratio in scatter.items() if ratio > limit}
+    larger = {p: ratio for p, ratio in scatter.items() if ratio > AMPLIFIED_SCATTER_LIMIT}
+    amplified = {p: (1 + ratio) / 2 for p, ratio in larger.items()}
     return replace(floor, amplification_power=amplified)
 
 
@@ -140,29 +131,20 @@ def _scatter_ratio(
 
 
 def floor_of_nuisance_fit(residuals: Residuals) -> NoiseFloor:
-    """Floor where the plant file carries none: the spectrum of the nuisance fit's residual."""
-    base = np.array([q.kind != "effect" for q in residuals.fit_parameters])
-    floor = guessed_noise_floor(residuals)
-    for _ in range(FLOOR_ROUNDS):
-        point = fitted_point(residuals, floor, base)
-        floor = floor_of_residual(residuals.groups, residuals.trials, point.rows)
-    return floor
+    """Floor where the plant file carries none: the spectrum of the nuisance fit's residual.
 
-
-def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
-    """Floor from the usual error of each signal, before any residual is known."""
-    units = {v.name: v.unit for v in residuals.model.outputs}
-    guessed = guessed_floor(residuals.groups, residuals.trials, units)
-    return NoiseFloor.of(guessed, learned=False)
-
-
-def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Mask) -> FitPoint:
-    """Fit of the free fit parameters against a floor, starting from the diagnosed plant.
-
-    Shapes: `free` (p,).
+    It is smoothed. The first one is guessed from the usual error of each signal.
     """
-    estimator = GaussNewton(residuals, floor)
-    return estimator.fit(estimator.start(), free)
+    groups, trials = residuals.groups, residuals.trials
+    base = np.array([q.kind != "effect" for q in residuals.fit_parameters])
+    units = {v.name: v.unit for v in residuals.model.outputs}
+    floor = NoiseFloor.of(guessed_floor(groups, trials, units), learned=False)
+    for _ in range(FLOOR_ROUNDS):
+        estimator = GaussNewton(residuals, floor)
+        point = estimator.fit(estimator.start(), base)
+        measured = floor_from_residuals(groups, trials, point.rows, repeated=False)
+        floor = NoiseFloor.of(measured, learned=False)
+    return floor
 
 
 def noise_floor_for(residuals: Residuals) -> NoiseFloor:

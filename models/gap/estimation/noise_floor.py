@@ -19,7 +19,7 @@ another motion s = 1 and the last term is absent. Variation between trials (pres
 is not part of the floor: it is fitted, within its prior.
 
 Where the plant file carries no floor, the residual's own spectrum after the nuisance fit takes its
-place (`floor_of_residual`): then only an effect that explains the residual better than any noise of
+place (`fitted_floor`): then only an effect that explains the residual better than any noise of
 that spectrum counts.
 """
 

@@ -35,8 +35,13 @@ class NuisanceFit:
         """Mean squared residual of a fit, in noise floors as measured."""
         return self.measured.mean_square(point)
 
-    def left_fraction(self, point: FitPoint) -> float:
-        """Fraction of the gap's amplitude that a fit leaves, beyond noise; 1 without a gap."""
+    def left_fraction(self, point: FitPoint) -> float | None:
+        """Fraction of the gap's amplitude that a fit leaves, beyond noise; 1 without a gap.
+
+        None without a learned noise floor: noise and gap cannot be told apart.
+        """
+        if not self.measured.floor.learned:
+            return None
         before, after = (self.mean_residual(p) for p in (self.point, point))
         if before < LEAST_GAP:
             return 1.0

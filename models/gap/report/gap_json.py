@@ -63,13 +63,6 @@ def largest_gaps(regions: Sequence[MappedRegion]) -> dict[str, float]:
     return dict(sorted(sizes.items(), key=lambda row: -row[1]))
 
 
-class RemainingGap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Location of the gap that remains with the named effects."""
-
-    sentence: str
-    located: tuple[MappedRegion, ...]
-
-
 class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Fitted value of a parameter, its standard error (None if not fitted) and the value before."""
 
@@ -85,14 +78,13 @@ class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `separation` is the d′ that it adds to those named before it, `separation_of_nothing` the d′
     that is reached where nothing is missing. Of the whole named set
     (`models.gap.decision.certainty`): `difference` of its strengths between parts of the trials,
-    mean squared `residual` in noise floors, and the fraction of the gap that it leaves, `left`.
+    and mean squared `residual` in noise floors.
     """
 
     separation: float
     separation_of_nothing: float
     difference: float
     residual: float
-    left: float
 
 
 class SimilarEffects(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -224,7 +216,7 @@ class GapDocument(Document, frozen=True, kw_only=True):
     probabilities : Answers or None
         Probabilities that nothing is missing, the named effects are, or something outside of the
         catalogue is; None without a learned noise floor.
-    gap_left_fraction : float
+    gap_left_fraction : float or None
         Fraction of the gap's amplitude that remains with the named effects.
     named : tuple of NamedEffect
         Missing effects, the one that explains most first.
@@ -240,8 +232,6 @@ class GapDocument(Document, frozen=True, kw_only=True):
         What the improved plant has.
     sentence, located, map
         Where the gap is: in words, significant regions ranked, and all regions.
-    remaining : RemainingGap
-        Where the gap is with the named effects.
     noise_floor : NoiseFloorSummary
         Noise floor by signal.
     before, after : dict
@@ -271,14 +261,14 @@ class GapDocument(Document, frozen=True, kw_only=True):
     'Missing: coulomb friction 0.0491 ± 0.0056 N·m (dry friction torque at the output). ...'
     """
 
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4
     MADE_BY: ClassVar[str] = "dropstitch gap"
 
     verdict: GapVerdict
     headline: str = ""
     probabilities: Answers | None = None
     separation_of_nothing: float
-    gap_left_fraction: float
+    gap_left_fraction: float | None
     named: tuple[NamedEffect, ...]
     refused: tuple[RefusedEffects, ...] = ()
     rejected: tuple[RejectedEffect, ...]
@@ -288,7 +278,6 @@ class GapDocument(Document, frozen=True, kw_only=True):
     sentence: str
     located: tuple[MappedRegion, ...]
     map: tuple[MappedRegion, ...]
-    remaining: RemainingGap
     noise_floor: NoiseFloorSummary
     before: dict[str, dict[str, SignalGap]]
     after: dict[str, dict[str, SignalGap]]

@@ -109,7 +109,7 @@ def _signals(document: GapDocument, curves: Sequence[SignalCurves]) -> Figure:
     legend += [LegendEntry(MUTED, "noise floor")] if document.floor_rms else []
     return Figure(
         "Measured and simulated",
-        f"Trial {curves[0].trial.name}, in which the error of the first signal changes most; below "
+        f"Trial {curves[0].trial.name}, in which the error of the first signal falls most; below "
         "each signal its error, measured minus simulated.",
         [_signal(row) for row in curves],
         legend=legend,

@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from models.gap.decision.certainty import Evidence
+from models.gap.decision.certainty import Answers
 from models.gap.decision.look_alikes import Hypothesis, effect_probabilities
 from models.gap.diagnosis import Diagnosis
 from models.gap.report.gap_json import (
@@ -23,13 +23,12 @@ from models.gap.report.gap_json import (
     NoiseFloorSummary,
     RefusedEffects,
     RejectedEffect,
-    RemainingGap,
     SignalFloor,
     SignalGap,
     SimilarEffects,
     WrittenPlant,
 )
-from models.gap.report.gap_words import headline, joined
+from models.gap.report.gap_words import headline, in_percent, joined
 from models.gap.report.separating_motion import separating_motion
 from models.gap.report.trial_notes import changed_conditions
 from models.gap.residuals.fit_parameters import plant_with_searched_effects, written_values
@@ -43,8 +42,7 @@ from models.shared.catalogue import effect_and_joint
 from models.trials.trial import Trial
 
 MOST_LOCATED: Final = 40
-MOST_REMAINING: Final = 10
-"""Most significant regions that are listed before and after; `map` holds all."""
+"""Most significant regions that are listed; `map` holds all."""
 LISTED_PROBABILITY: Final = 0.01
 """Least probability of an effect that is listed."""
 UNEXCITED: Final = "these trials hardly excite it"
@@ -75,13 +73,14 @@ def gap_document(diagnosis: Diagnosis) -> GapDocument:
     floor = noise_floor_rms(diagnosis)
     residuals = diagnosis.nuisance.estimator.residuals
     unused, held_out = residuals.goal_not_followed(), diagnosis.written.errors.rms()
+    left, learned = diagnosis.gap_left_fraction, diagnosis.floor.learned
     before, after = (
         {
             "fitted": errors_in_floors(plant, diagnosis.trials, floor, unused),
             "held_out": _held_out_in_floors(plant, diagnosis.trials, rms, floor),
         }
         for plant, rms in (
-            (diagnosis.plant, diagnosis.held_out_baseline),
+            (diagnosis.plant, diagnosis.held_out_baseline.rms()),
             (diagnosis.improved, held_out),
         )
     )
@@ -90,25 +89,22 @@ def gap_document(diagnosis: Diagnosis) -> GapDocument:
         verdict=diagnosis.verdict,
         probabilities=diagnosis.answers,
         separation_of_nothing=round(diagnosis.separation_of_nothing, 2),
-        gap_left_fraction=round(diagnosis.gap_left_fraction, 4),
+        gap_left_fraction=left if left is None else round(left, 4),
         named=tuple(_named(diagnosis)),
         refused=tuple(_refused(diagnosis)),
         rejected=tuple(_rejected(diagnosis)),
         effect_probabilities={
             e: round(p, 4)
             for e, p in effect_probabilities(diagnosis.hypotheses).items()
-            if p >= LISTED_PROBABILITY
+            if learned and p >= LISTED_PROBABILITY
         },
         hypotheses=tuple(_hypothesis(diagnosis, h) for h in diagnosis.hypotheses),
         written=_written(diagnosis),
         sentence=_place(diagnosis, diagnosis.located),
-        located=_located(diagnosis.located, MOST_LOCATED),
+        located=mapped([c for c in diagnosis.located if c.significant][:MOST_LOCATED]),
         map=mapped(diagnosis.located),
-        remaining=RemainingGap(
-            _place(diagnosis, diagnosis.remaining), _located(diagnosis.remaining, MOST_REMAINING)
-        ),
         noise_floor=NoiseFloorSummary(
-            diagnosis.floor.learned,
+            learned,
             floor,
             diagnosis.nuisance.measured.knowledge(),
             {f"{kg:g}": round(p**0.5, 2) for kg, p in diagnosis.floor.amplification_power.items()},
@@ -139,10 +135,6 @@ def mapped(regions: Sequence[GapRegion]) -> tuple[MappedRegion, ...]:
         )
         for c in regions
     )  # fmt: skip
-
-
-def _located(regions: Sequence[GapRegion], most: int) -> tuple[MappedRegion, ...]:
-    return mapped([c for c in regions if c.significant][:most])
 
 
 def noise_floor_rms(diagnosis: Diagnosis) -> dict[str, SignalFloor]:
@@ -218,7 +210,6 @@ def _named(diagnosis: Diagnosis) -> list[NamedEffect]:
                     diagnosis.separation_of_nothing,
                     diagnosis.evidence.difference,
                     diagnosis.evidence.residual,
-                    diagnosis.gap_left_fraction,
                 ),
                 look_alikes=tuple(
                     SimilarEffects(_beside(diagnosis, other), other.separation) for other in alike
@@ -250,9 +241,14 @@ def _beside(diagnosis: Diagnosis, fit: SetFit) -> tuple[str, ...]:
 
 
 def _gains(diagnosis: Diagnosis) -> dict[frozenset[str], float]:
-    """Fall of the cost by set of effects, from the fit of the nuisance."""
-    fits = [*diagnosis.naming.explored, diagnosis.naming.fit]
-    return {frozenset(f.candidates): f.gain for f in fits} | {frozenset(): 0.0}
+    """Fall of the cost by set of effects, from the fit of the nuisance.
+
+    A candidate that was not refitted alone has that of its screen.
+    """
+    naming = diagnosis.naming
+    screened = {frozenset({name}): d**2 / 2 for name, d in naming.search.screened.items()}
+    refitted = {frozenset(f.candidates): f.gain for f in (*naming.explored, naming.fit)}
+    return screened | refitted | {frozenset(): 0.0}
 
 
 def _separation(gain: float) -> float:
@@ -278,22 +274,29 @@ def _refused(diagnosis: Diagnosis) -> list[RefusedEffects]:
     best = naming.best
     if not diagnosis.named and best.separation > diagnosis.separation_of_nothing:
         if diagnosis.answers is None:
-            reason = f"the error on the {joined(diagnosis.left_out)} left out does not fall enough"
+            reason = _fails_held_out(diagnosis)
             rows.append(RefusedEffects(best.candidates, "held-out error", best.separation, reason))
         else:
-            reason = _improbable(diagnosis.answers.catalogue, diagnosis.evidence)
+            reason = _improbable(diagnosis.answers)
             rows.append(RefusedEffects(best.candidates, "improbable", best.separation, reason))
     if diagnosis.named:
         rows += _further(diagnosis)
     return rows
 
 
-def _improbable(probability: float, evidence: Evidence) -> str:
+def _improbable(answers: Answers) -> str:
     """Why the best candidate is not named, as a clause."""
     return (
-        f"its probability is {probability:.0%}: its strength would have to differ by "
-        f"{evidence.difference:.0%} between parts of the trials, and it leaves "
-        f"{evidence.residual:.2f} noise floors"
+        f"its probability is {in_percent(answers.catalogue)}, that of nothing missing "
+        f"{in_percent(answers.nothing)}, that of something outside of the catalogue "
+        f"{in_percent(answers.outside)}"
+    )
+
+
+def _fails_held_out(diagnosis: Diagnosis) -> str:
+    return (
+        f"the error on the {joined(diagnosis.left_out)} left out does not fall enough, or the "
+        "strength differs between parts of the trials"
     )
 
 
@@ -303,20 +306,19 @@ def _further(diagnosis: Diagnosis) -> list[RefusedEffects]:
     tried = [f for f in naming.grown if len(f.candidates) > len(fit.candidates)]
     best = next(iter(tried or naming.rounds[-1]), fit)
     added = _separation(best.gain - fit.gain)
-    wrong = diagnosis.settings.equation_error_fraction * fit.separation
+    error = diagnosis.settings.equation_error_fraction * fit.separation
     alike = [_beside(diagnosis, f) for fits in diagnosis.look_alikes.values() for f in fits]
     effects = _beside(diagnosis, best)
     if added <= diagnosis.separation_of_nothing or not effects or effects in alike:
         return []
     if not naming.is_learned:
-        reason = f"the error on the {joined(diagnosis.left_out)} left out does not fall enough"
-        return [RefusedEffects(effects, "held-out error", added, reason)]
+        return [RefusedEffects(effects, "held-out error", added, _fails_held_out(diagnosis))]
     if tried:
-        reason = "the plant's own error may look like it"
-    elif added > np.hypot(diagnosis.separation_of_nothing, wrong):
+        reason = "that it is missing too is less probable than not"
+    elif added > np.hypot(diagnosis.separation_of_nothing, error):
         reason = "its strength would have to differ between payloads, signals and frequencies"
     else:
-        reason = f"errors in the named effects' equations may look like it, up to d′ {wrong:.0f}"
+        reason = "errors of the plant and of the named effects' equations may look like it"
     return [RefusedEffects(effects, "further", added, reason)]
 
 
@@ -340,11 +342,11 @@ def _rejected(diagnosis: Diagnosis) -> list[RejectedEffect]:
         elif candidate in alike:
             reason = "these trials cannot tell it from what is named"
         elif separation < diagnosis.separation_of_nothing:
-            reason = "it explains no more than noise may"
+            reason = "it explains no more than is reached where nothing is missing"
         elif not diagnosis.named and naming.best.candidates == (candidate,):
             reason = "it stands out, but is refused"
         elif refitted is None:
-            reason = "others explain more, or its strength ended at a bound"
+            reason = "others promise to explain more"
         else:
             reason = "others explain more"
         row = RejectedEffect(effect, separation, reason)

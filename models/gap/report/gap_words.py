@@ -135,8 +135,8 @@ def _verdict_in_words(document: GapDocument) -> str:
             better = f"the held-out error falls to {fraction:.0%}, but " if named else ""
             nothing = "" if named else "Nothing is named. "
             return (
-                f"{nothing}There is no noise floor, because no trial of the plant was repeated: "
-                f"{better}noise and model error cannot be separated."
+                f"{nothing}The plant has no noise floor, which 'identify' measures on repeated "
+                f"trials: {better}noise and model error cannot be separated."
             )
         case "not in the catalogue":
             sure = f" (probability {in_percent(known.outside)})" if known else ""
@@ -230,12 +230,14 @@ def look_alikes_in_words(row: NamedEffect) -> str:
     if not row.look_alikes:
         return ""
     sets = [" with ".join(map(effect_in_words, c.effects)) for c in row.look_alikes[:MOST_LISTED]]
-    words = f"These trials cannot tell {effect_in_words(row.candidate)} from {joined(sets, 'or')}; "
+    words = f"These trials cannot tell {effect_in_words(row.candidate)} from {joined(sets, 'or')}"
     motion = row.separated_by
-    largest = max(motion.separation.values(), default=0.0) if motion else 0.0
-    if motion is None or largest < UNDETECTED_SEPARATION:
-        return f"{words}no fixed motion does either."
-    return f"{words}the motion '{motion.motion}' would (d′ {largest:.0f})."
+    if motion is None or not motion.separation:
+        return f"{words}."
+    largest = max(motion.separation.values())
+    if largest < UNDETECTED_SEPARATION:
+        return f"{words}; no fixed motion does either."
+    return f"{words}; the motion '{motion.motion}' would (d′ {largest:.0f})."
 
 
 def refused_in_words(document: GapDocument) -> list[str]:
@@ -253,9 +255,10 @@ def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") ->
     if not document.odd_trials:
         return step
     names = joined([o.name for o in document.odd_trials])
+    them = "them" if len(document.odd_trials) > 1 else "it"
     return (
         f"Check payload, conditions and recording of {names} (dropstitch validate), correct or "
-        f"repeat it, and run gap again. Without it: {step}"
+        f"repeat {them}, and run gap again. Without {them}: {step}"
     )
 
 

@@ -135,7 +135,7 @@ def diagnosis():
     parameters = {"softening_share": FittedValue(0.19, "1", 0.01, 0.0)}
     effect = NamedEffect(
         effect="stiffness_softening", joint=None, parameters=parameters,
-        evidence=NamingEvidence(40.0, 25.0, 0.6, 0.05, 0.1), look_alikes=(),
+        evidence=NamingEvidence(40.0, 25.0, 0.05, 1.1), look_alikes=(),
     )  # fmt: skip
     errors = {
         rms: {part: {s: SignalGap(rms, unit, rms / 1e-3) for s, unit in signals.items()}

@@ -11,7 +11,7 @@ def effect(name, joint=None, look_alikes=(), parameters=None, **others):
     values = parameters or {f"{name}_1_x": gap.FittedValue(0.03, "s", 0.001, 0.0)}
     return gap.NamedEffect(
         effect=name, joint=joint, parameters=values,
-        evidence=gap.NamingEvidence(40.0, 25.0, 0.05, 1.1, 0.2),
+        evidence=gap.NamingEvidence(40.0, 25.0, 0.05, 1.1),
         look_alikes=tuple(gap.SimilarEffects((e,), 38.0) for e in look_alikes), **others,
     )  # fmt: skip
 
@@ -42,7 +42,6 @@ def document(verdict="no gap", *rows, answers=(0.0, 0.98, 0.02), learned=True, *
             for signal, size in ((ANGLE, 9.0), (TIP, 3.0))
             for name in ("one", "two")
         ),
-        "remaining": gap.RemainingGap("", ()),
         "noise_floor": gap.NoiseFloorSummary(
             learned, {s: gap.SignalFloor(1e-3, 0.0, 1e-3) for s in (TIP, ANGLE)}
         ),

@@ -14,6 +14,7 @@ from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.improved_plant import _standard_errors
 from models.gap.outliers import outlier_trials
+from models.gap.report.gap_results import gap_document
 from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.search.effect_search import SetFit
 from models.plant.identification.noise_floor import TrialGroup
@@ -227,9 +228,21 @@ def test_an_effect_that_all_payloads_show_is_named_and_lowers_the_held_out_error
     assert result.verdict == "no floor", "no trial was repeated"
     assert result.left_out == ("payloads", "motions")
     assert result.unexplained_fraction < 0.5
+    assert result.gap_left_fraction is None, "noise and gap cannot be told apart"
     q = result.improved.parameters["coulomb_friction_1_nm"]
     assert q.value == pytest.approx(FRICTION_NM, rel=0.2)
     assert_no_worse_held_out(result)
+
+
+def test_without_a_floor_other_effects_have_a_separation_and_none_a_probability(
+    pendulum, diagnosed
+):
+    trials = swings(pendulum, {0.0: FRICTION_NM, 0.2: FRICTION_NM})
+    result = diagnosed(pendulum, trials, ("coulomb_friction", "viscous_friction"))
+    document = gap_document(result)
+    (other,) = [row for row in document.rejected if row.effect == "viscous_friction"]
+    assert 0.0 < other.separation < document.named[0].evidence.separation
+    assert document.effect_probabilities == {}
 
 
 @pytest.mark.parametrize(

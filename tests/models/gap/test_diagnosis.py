@@ -9,6 +9,7 @@ from firmware_py.core.errors import InputError
 from models.bundle.train import refuse_fitted
 from models.gap.decision.certainty import knowledge_of
 from models.gap.decision.written_fit import PlantWriter
+from models.gap.improved_plant import improved_plant
 from models.gap.diagnosis import diagnose
 from models.gap.report.gap_results import gap_document
 from models.gap.report.gap_words import gap_in_words
@@ -268,6 +269,26 @@ def test_an_effect_is_named_although_its_plant_is_worse_held_out(
     assert diagnosis.written.candidates == () and diagnosis.written.refused == "worse"
     assert "dead_time" not in diagnosis.improved.effects
     assert "dead_time" in diagnosis.fitted.effects
+
+
+def test_a_refusal_is_told_only_if_a_named_effect_is_not_written(late, monkeypatch):
+    """The first of two fits with the effect is refused here, the second is written."""
+    refusals = iter(["worse", ""])
+    monkeypatch.setattr(PlantWriter, "_failure", lambda *_: next(refusals))
+    written = PlantWriter(late.naming.search, 0.05).best(late.naming.fit)
+    assert (written.candidates, written.refused) == (("dead_time",), "")
+
+
+@pytest.mark.parametrize("same_link", [False, True])
+def test_a_link_that_is_the_same_is_written_as_it_was(late, monkeypatch, same_link):
+    """Every refitted link is better here."""
+    monkeypatch.setattr(PlantWriter, "_is_earned", lambda *_: True)
+    search = late.naming.search
+    for fit in (late.naming.fit, search.nothing):
+        written = PlantWriter(search, 1.0, same_link).best(fit)
+        improved = improved_plant(late.plant, search, written, late.trials).parameters
+        name = "root_stiffness_1_nm_rad"
+        assert (improved[name].value == late.plant.parameters[name].value) is same_link
 
 
 # Outlier trials

@@ -13,7 +13,11 @@ from models.gap.decision.certainty import read_certainty
 from models.gap.decision.naming import name_with_floor
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.nuisance_fit import NuisanceFit
-from models.gap.residuals.fit_parameters import FitParameter, effect_candidates
+from models.gap.residuals.fit_parameters import (
+    NUISANCE_PRIOR_FRACTION,
+    FitParameter,
+    effect_candidates,
+)
 from models.gap.search.effect_search import EffectSearch
 from models.plant.identification.noise_floor import TrialGroup
 from models.plant.plant import read_plant
@@ -24,6 +28,7 @@ EFFECTS = (
 )  # fmt: skip
 STRENGTH_OF_BOUND = 0.3  # Hidden strengths, and the unit of a direction
 LINK_SEPARATION = 20.0  # d′ of one standard deviation of the link
+LINK_DEVIATION = NUISANCE_PRIOR_FRACTION["link_mass_kg"]
 
 
 class LinearResiduals:
@@ -36,10 +41,14 @@ class LinearResiduals:
         ]
         self.groups = [TrialGroup("motion", tuple(range(len(PAYLOADS_KG))), ("tip_x_m",), COUNT)]
         strengths = [effect_candidates(plant, name, 1)[name][0] for name in directions]
-        self.fit_parameters = [FitParameter("link_mass_kg", "nuisance", standard_deviation=1.0)]
+        mass = FitParameter("link_mass_kg", "nuisance", standard_deviation=LINK_DEVIATION)
+        self.fit_parameters = [mass]
         self.fit_parameters += strengths
         units = np.array([STRENGTH_OF_BOUND * q.high for q in strengths])
-        slopes = [link, *(d / u for d, u in zip(directions.values(), units, strict=True))]
+        slopes = [
+            link / LINK_DEVIATION,
+            *(d / u for d, u in zip(directions.values(), units, strict=True)),
+        ]
         self._slopes, self._rows, self.units = np.moveaxis(np.array(slopes), 0, -1), rows, units
 
     def residuals(self, values):
