@@ -238,9 +238,9 @@ def test_without_a_floor_other_effects_have_a_separation_and_none_a_probability(
     pendulum, diagnosed
 ):
     trials = swings(pendulum, {0.0: FRICTION_NM, 0.2: FRICTION_NM})
-    result = diagnosed(pendulum, trials, ("coulomb_friction", "viscous_friction"))
+    result = diagnosed(pendulum, trials, ("coulomb_friction", "stribeck_friction"))
     document = gap_document(result)
-    (other,) = [row for row in document.rejected if row.effect == "viscous_friction"]
+    (other,) = [row for row in document.rejected if row.effect == "stribeck_friction"]
     assert 0.0 < other.separation < document.named[0].evidence.separation
     assert document.effect_probabilities == {}
 

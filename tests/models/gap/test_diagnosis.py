@@ -9,8 +9,8 @@ from firmware_py.core.errors import InputError
 from models.bundle.train import refuse_fitted
 from models.gap.decision.certainty import knowledge_of
 from models.gap.decision.written_fit import PlantWriter
-from models.gap.improved_plant import improved_plant
 from models.gap.diagnosis import diagnose
+from models.gap.improved_plant import improved_plant
 from models.gap.report.gap_results import gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.settings import GapSettings
