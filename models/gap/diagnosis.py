@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from firmware_py.core.errors import InputError
 from models.gap.decision.certainty import Answers, Evidence, read_certainty
-from models.gap.decision.look_alikes import Hypothesis, LookAlike, hypotheses_of, look_alikes_of
+from models.gap.decision.look_alikes import Hypothesis, hypotheses_of, look_alikes_of
 from models.gap.decision.naming import (
     LEAST_WITHOUT_FLOOR,
     Naming,
@@ -34,7 +34,7 @@ from models.gap.residuals.fit_parameters import (
 from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import in_time_blocks
-from models.gap.search.effect_search import EffectSearch, ReportProgress
+from models.gap.search.effect_search import EffectSearch, ReportProgress, SetFit
 from models.gap.search.held_out import HeldOutErrors
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.doubts import refuse_other_links
@@ -76,7 +76,7 @@ class Diagnosis:
         without a learned noise floor.
     named : tuple of str
         Missing effects, the one that explains most first; `EFFECT:JOINT` is in one servo alone.
-    look_alikes : dict of str to tuple of LookAlike
+    look_alikes : dict of str to tuple of SetFit
         By named effect: what these trials cannot tell from it.
     hypotheses : tuple of Hypothesis
         Sets of effects that may be missing, by their probability.
@@ -109,7 +109,7 @@ class Diagnosis:
     evidence: Evidence
     gap_left_fraction: float | None
     named: tuple[str, ...]
-    look_alikes: dict[str, tuple[LookAlike, ...]]
+    look_alikes: dict[str, tuple[SetFit, ...]]
     hypotheses: tuple[Hypothesis, ...]
     nuisance: NuisanceFit
     naming: Naming

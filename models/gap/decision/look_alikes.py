@@ -46,16 +46,12 @@ class Hypothesis:
     fit: SetFit
 
 
-LookAlike = SetFit
-"""Set of effects that these trials cannot tell from the named ones."""
-
-
-def look_alikes_of(naming: Naming) -> dict[str, tuple[LookAlike, ...]]:
+def look_alikes_of(naming: Naming) -> dict[str, tuple[SetFit, ...]]:
     """Candidates that may be missing instead of each named effect, the likeliest first.
 
     They were tried beside the same others, and hold 95 % together with it.
     """
-    look_alikes: dict[str, tuple[LookAlike, ...]] = {}
+    look_alikes: dict[str, tuple[SetFit, ...]] = {}
     for name in naming.names:
         rest = set(naming.names) - {name}
         rows = [f for f in naming.explored if rest < set(f.candidates)]
@@ -100,19 +96,14 @@ def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
     return dict(sorted(total.items(), key=lambda row: -row[1]))
 
 
-def set_weights(
-    sets: Sequence[SetFit],
-    catalogue: int,
-    odds: float = ODDS_OF_WHOLE_GAP,
-    mean: float = MEAN_NUMBER,
-) -> Array:
+def set_weights(sets: Sequence[SetFit], catalogue: int) -> Array:
     """Weight of each of some sets, relative to the heaviest, shape (sets,)."""
     if not sets:
         return np.zeros(0)
     square = np.array([2 * f.gain for f in sets])
     less = square.max() - square
     by_noise = less / (2 * NOISE_TEMPERATURE)
-    by_equation = odds * np.sqrt(less / max(square.max(), 1.0))
+    by_equation = ODDS_OF_WHOLE_GAP * np.sqrt(less / max(square.max(), 1.0))
     size = np.array([len(f.candidates) for f in sets])
-    logarithm = size * np.log(mean / max(catalogue, 1)) - np.minimum(by_noise, by_equation)
+    logarithm = size * np.log(MEAN_NUMBER / max(catalogue, 1)) - np.minimum(by_noise, by_equation)
     return np.asarray(np.exp(logarithm - logarithm.max()))

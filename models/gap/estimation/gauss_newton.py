@@ -21,7 +21,7 @@ from scipy.optimize import lsq_linear
 from firmware_py.core.errors import InputError
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.transfer import Knowledge
-from models.gap.residuals.fit_parameters import prior_matrix, prior_precision
+from models.gap.residuals.fit_parameters import prior_matrix
 from models.gap.residuals.residuals import Residuals
 from models.plant.identification.noise_floor import Array
 
@@ -124,7 +124,6 @@ class GaussNewton:
         trials, groups = residuals.trials, residuals.groups
         self.whiteners = [floor.whitener(g, trials) for g in groups]
         self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
-        self.precision = prior_precision(residuals.fit_parameters)  # of each alone
         self.prior = prior_matrix(residuals.fit_parameters)
         self.low = np.array([q.low for q in residuals.fit_parameters])
         self.high = np.array([q.high for q in residuals.fit_parameters])

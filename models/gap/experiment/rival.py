@@ -62,10 +62,12 @@ def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
     return tuple(counted[:MOST_RIVALS])
 
 
-def credible_set(rivals: Sequence[Rival], held: float = HELD_PROBABILITY) -> tuple[Rival, ...]:
-    """Fewest hypotheses that together reach a probability, the most probable first."""
+def credible_set(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
+    """Fewest hypotheses that hold 95 % together, the most probable first."""
     before = np.cumsum([0.0, *(r.probability for r in rivals)])
-    return tuple(r for r, reached in zip(rivals, before, strict=False) if reached < held)
+    return tuple(
+        r for r, reached in zip(rivals, before, strict=False) if reached < HELD_PROBABILITY
+    )
 
 
 def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitParameter]) -> Array:

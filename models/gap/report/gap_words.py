@@ -119,8 +119,7 @@ def _name_in_words(document: GapDocument, row: NamedEffect) -> str:
 
 def _verdict_in_words(document: GapDocument) -> str:
     known, named = document.probabilities, document.named
-    it = "They" if len(named) > 1 else "It"
-    explain = "explain" if len(named) > 1 else "explains"
+    it, explain = ("They", "explain") if len(named) > 1 else ("It", "explains")
     match document.verdict:
         case "closed":
             return f"{it} {explain} the gap; the rest is noise."
@@ -140,10 +139,7 @@ def _verdict_in_words(document: GapDocument) -> str:
             )
         case "not in the catalogue":
             sure = f" (probability {in_percent(known.outside)})" if known else ""
-            alone = f"{it} {explain} little of the gap. " if named else ""
-            return f"{alone}Something is missing that is not in the catalogue{sure}."
-    if named:
-        return f"{it} {explain} little of the gap, and the rest is noise."
+            return f"Something is missing that is not in the catalogue{sure}."
     if known is not None and known.nothing < 0.5:
         missing = in_percent(1 - known.nothing)
         return f"No effect can be named; that one is missing has a probability of {missing}."

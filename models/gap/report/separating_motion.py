@@ -15,7 +15,6 @@ import numpy as np
 
 from firmware_py.config import UNWATCHED_RATE_RAD_S
 from firmware_py.core.errors import InputError
-from models.gap.decision.look_alikes import LookAlike
 from models.gap.diagnosis import Diagnosis
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.fixed_motions import (
@@ -27,6 +26,7 @@ from models.gap.fixed_motions import (
 )
 from models.gap.report.gap_json import SeparatingMotion
 from models.gap.residuals.residuals import Residuals
+from models.gap.search.effect_search import SetFit
 from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -36,7 +36,7 @@ NO_MOTION: Final = "none of the menu"
 """Recommendation for a plant that cannot run the fixed motions."""
 
 
-def separating_motion(diagnosis: Diagnosis, alike: Sequence[LookAlike]) -> SeparatingMotion:
+def separating_motion(diagnosis: Diagnosis, alike: Sequence[SetFit]) -> SeparatingMotion:
     """Fixed motion with the largest least d′ between the named effects and their look-alikes.
 
     The motions are those of the link; those faster than a servo without a bus watchdog allows are
@@ -77,7 +77,7 @@ def _simulated(plant: Plant, trial: Trial) -> Trial:
     return replace(trial, columns=trial.columns | outputs)
 
 
-def _separations(diagnosis: Diagnosis, trial: Trial, alike: Sequence[LookAlike]) -> list[float]:
+def _separations(diagnosis: Diagnosis, trial: Trial, alike: Sequence[SetFit]) -> list[float]:
     """d′ that remains after each look-alike is fitted to a trial, to first order."""
     fit_parameters = diagnosis.nuisance.estimator.residuals.fit_parameters
     common = [k for k, q in enumerate(fit_parameters) if q.trial in (None, 0)]
