@@ -245,11 +245,14 @@ def diagnose(
         writer = PlantWriter(naming.search, settings.harm_fraction, settings.same_link)
         written = _written(writer, naming, verdict, settings)
         report("tested on what was left out", 1)
-        fitted = improved_plant(plant, naming.search, naming.fit, recorded)
+        improved, fitted = (
+            improved_plant(plant, naming.search, fit, recorded) for fit in (written, naming.fit)
+        )
+        look_alikes, hypotheses = look_alikes_of(naming), hypotheses_of(naming)
         located = tuple(_located(nuisance))
     return Diagnosis(
         plant=plant,
-        improved=improved_plant(plant, naming.search, written, recorded),
+        improved=improved,
         fitted=fitted,
         trials=used,
         outliers=outliers,
@@ -258,8 +261,8 @@ def diagnose(
         evidence=naming.evidence,
         gap_left_fraction=nuisance.left_fraction(naming.fit.point),
         named=naming.names,
-        look_alikes=look_alikes_of(naming),
-        hypotheses=hypotheses_of(naming),
+        look_alikes=look_alikes,
+        hypotheses=hypotheses,
         nuisance=nuisance,
         naming=naming,
         written=written,

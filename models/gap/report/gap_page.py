@@ -166,7 +166,7 @@ def _checks(document: GapDocument) -> list[Part]:
 
 def gap_sections(document: GapDocument) -> list[Section]:
     """Sections of the page below its lead; the last one lists the effects that were not named."""
-    where = localisation_maps(document.map)
+    where = localisation_maps(document.map, document.noise_floor.learned)
     result = [
         Section("what", "What is missing, and what else could explain it", _what(document)),
         Section("where", "Where the gap is", [Paragraph(document.sentence), *where]),
@@ -252,11 +252,12 @@ def _rejected(document: GapDocument) -> Table:
 # --- maps of where the gap is --------------------------------------------------------------------
 
 
-def localisation_maps(cells: Sequence[MappedRegion]) -> list[Part]:
-    """One table for each factor, all on one scale."""
+def localisation_maps(cells: Sequence[MappedRegion], learned: bool) -> list[Part]:
+    """One table for each factor, all on one scale: noise floors, if one is learned."""
+    unit = "noise floors" if learned else "times the mean of its spectrum"
     largest = max([c.size for c in cells if c.factor in FACTORS] + [1.5])
     note = (
-        "RMS of the residual after the nominal parameters were refitted, in noise floors. Only "
+        f"RMS of the residual after the nominal parameters were refitted, in {unit}. Only "
         "shaded values are significant, at a false-discovery rate of "
         f"{FRACTION.text(FALSE_DISCOVERY_RATE)}."
     )
