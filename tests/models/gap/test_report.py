@@ -298,7 +298,7 @@ def test_a_map_shows_every_value_and_shades_the_significant_ones():
         gap.MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
         gap.MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
     ]
-    _, table = localisation_maps(regions)
+    _, table = localisation_maps(regions, learned=True)
     assert table.title == "Phase of the cycle" and list(table.header) == ["", "1/8", "2/8"]
     (angle, missing), (tip, most) = (row[1:] for row in table.rows)
     assert [cell.text for cell in (angle, missing, tip, most)] == ["3.2", "", "1.0", "12"]
