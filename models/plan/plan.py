@@ -103,12 +103,12 @@ class PathPlan:
 
     def write(self, path: Path | str) -> Path:
         """Write the plan for `dropstitch run --plan`, and its picture beside it."""
-        from models.plan.picture import draw_plan
+        from models.shared.drawing import save_svg  # loads matplotlib
 
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_document(path, self.document)
-        draw_plan(self.document, path.with_suffix(".svg"))
+        save_svg(self.plot(), path.with_suffix(".svg"))
         return path
 
     def as_json(self) -> dict[str, Any]:
