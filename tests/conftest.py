@@ -201,7 +201,7 @@ def bare_bundle(tmp_path_factory):
     manifest = Manifest(
         dof=1, period_s=0.017, degree=1, estimator="none", features=(), outputs=(),
         lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
-        coefficients={}, files={},
+        files={},
     )  # fmt: skip
     write_manifest(directory, manifest)
     return directory

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,9 +38,7 @@ _MOST_DEGREE: Final = 20
 _LARGEST_GAIN: Final = 0xFFFF
 """Largest value of a register of two bytes."""
 _LARGEST: Final = 1e6
-"""Largest magnitude of a range, a metric or a coefficient, in SI units. [assumed]"""
-_LARGEST_COEFFICIENT: Final = 1e15
-"""Largest coefficient of a monomial in A, rad and DI; the cube of DI ≈ 0.01 is 1e-6. [assumed]"""
+"""Largest magnitude of a range or a metric, in SI units. [assumed]"""
 
 
 class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -65,8 +62,6 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     plant_sha256: str  # Hash of the plant
     libraries: dict[str, str]  # Versions of the libraries by name
     metrics: dict[str, float]  # Errors on held-out trials by name, which ends in the SI unit
-    # Coefficients per output by monomial (like "angle_1_rad^2 di"), for information only
-    coefficients: dict[str, tuple[float, ...]]
     files: dict[str, str]  # SHA-256 by file name
     # Candidate in `predictor.onnx`; empty if the bundle has the paper's polynomial alone
     predictor: str = ""
@@ -135,6 +130,7 @@ def _decoded(data: bytes, path: Path) -> Manifest:
                 path, f"does not match the hash of its own content ({_OWN_HASH})",
                 "copy the bundle again",
             )  # fmt: skip
+        document.pop("coefficients", None)  # bundles of 0.3.0 list those of the polynomial
     try:
         return msgspec.convert(document, Manifest)
     except (msgspec.ValidationError, RecursionError) as error:
@@ -176,9 +172,6 @@ def _out_of_bounds(manifest: Manifest) -> Iterator[str]:
     for name, value in manifest.metrics.items():
         if not abs(value) <= _LARGEST:
             yield f"the metric {name!r} is {value:g}"
-    for name, values in manifest.coefficients.items():
-        if not all(math.isfinite(v) and abs(v) <= _LARGEST_COEFFICIENT for v in values):
-            yield f"a coefficient of {name!r} is not within ±{_LARGEST_COEFFICIENT:g}"
 
 
 def write_manifest(directory: Path, manifest: Manifest) -> None:

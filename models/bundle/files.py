@@ -32,7 +32,7 @@ from models.predictor.document import PredictorsDocument, summary_of, write_pred
 from models.predictor.fallback import LAG_TICKS, Fallback
 from models.predictor.guarded_tip import GuardedTip
 from models.predictor.onnx_graphs import OUTPUTS, Array, to_onnx
-from models.predictor.polynomials import GuardedPredictor, Polynomial
+from models.predictor.polynomials import GuardedPredictor
 from models.predictor.training import TipTraining
 from models.study.document import StudyDocument, write_study
 
@@ -181,8 +181,6 @@ def _manifest(
     samples, box = fallback.samples, fallback.predictor.polynomial
     data = summary_of(samples.trials)
     dof = samples.trials[0].meta.dof
-    names = feature_names(dof)
-    coefficients = Polynomial.of(box.pipeline).in_si_units()
     return Manifest(
         dof=dof,
         period_s=data.step_s,
@@ -190,7 +188,7 @@ def _manifest(
         estimator="lagged",
         features=_quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
         if tip
-        else _quantities(names, box.lower, box.upper),
+        else _quantities(feature_names(dof), box.lower, box.upper),
         outputs=_quantities(tip_names(), samples.tip_m.min(axis=0), samples.tip_m.max(axis=0)),
         lag_ticks=LAG_TICKS,
         training_data_sha256=data.sha256,
@@ -198,7 +196,6 @@ def _manifest(
         libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
         metrics=(_study_metrics(study) if study else {})
         | (_tip_metrics(tip.document) if tip else {}),
-        coefficients={monomial(k, names): tuple(beta.tolist()) for k, beta in coefficients.items()},
         predictor=tip.document.chosen if tip else "",
         servo_gains=plant.provenance.servo_gains[:dof],
         files={},
@@ -255,9 +252,3 @@ def _study_metrics(study: StudyDocument) -> dict[str, float]:
             f"{name}_interval_coverage": deployed.interval_coverage_mean,
         }
     return metrics
-
-
-def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
-    """Monomial of features as text, like "1" or "angle_1_rad^2 di"."""
-    powers = zip(names, exponents, strict=True)
-    return " ".join(n if k == 1 else f"{n}^{k}" for n, k in powers if k) or "1"

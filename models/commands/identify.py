@@ -18,7 +18,7 @@ from firmware_py.config import read_config
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.log.recording import read_recording
-from models.plant.identification.identify import Identification, identify
+from models.plant.identification.identify import identify
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.shared.output_paths import check_output_file
@@ -61,7 +61,10 @@ def run(args: argparse.Namespace) -> int:
     progress.total = progress.done + 1
     progress.step("done")
     result.plant.write(args.out)
-    picture = _draw(result, args.out.with_suffix(".svg"))
+    picture = args.out.with_suffix(".svg")
+    from models.shared.drawing import save_svg  # loads matplotlib
+
+    save_svg(result.plot(), picture)
     warnings = result.warnings()
     data = {
         "plant": str(args.out),
@@ -83,16 +86,6 @@ def run(args: argparse.Namespace) -> int:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return DONE
-
-
-def _draw(result: Identification, path: Path) -> Path:
-    from matplotlib import pyplot
-
-    from models.shared.drawing import FILE_STYLE
-
-    with pyplot.rc_context(FILE_STYLE):
-        result.plot().savefig(path, format="svg")
-    return path
 
 
 def _check_out(args: argparse.Namespace) -> None:

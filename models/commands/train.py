@@ -62,7 +62,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="only 2DOF trials with this lead of joint 2; repeatable (default: all)",
     )  # fmt: skip
     add(
-        "--askew-deg", type=float, default=math.degrees(0.005), metavar="DEG",
+        "--askew-deg", type=float, metavar="DEG",
         help="angle by which the link may be mounted askew, which no servo sees and the interval "
         "covers; 0 where the mount is exact (default: 0.29, 5 mm at the tip)",
     )  # fmt: skip
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     check_output_directory(args.out)
     # scikit-learn and CasADi are loaded here, so that a wrong option is refused at once.
     from models.bundle.files import ParityError, check_bundle_directory
-    from models.bundle.train import of_phases, train
+    from models.bundle.train import ASKEW_RAD, of_phases, train
     from models.plant.plant import read_plant
     from models.predictor.candidates import CANDIDATES, DEFAULT_CANDIDATES, load_candidate
 
@@ -85,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
         parts = [of_phases(read_trials(path), args.phase_deg, path) for path in directories]
         return [trial for part in parts for trial in part]
 
+    askew_rad = ASKEW_RAD if args.askew_deg is None else math.radians(args.askew_deg)
     trials, unseen, motions = map(read, ([args.trials], args.unseen, args.motions))
     plant = read_plant(args.plant)
     candidates = CANDIDATES if args.compare else DEFAULT_CANDIDATES
@@ -94,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         result = train(
             trials, plant, args.out, dof=args.dof, unseen=unseen, motions=motions,
             candidates=() if args.study_only else candidates,
-            study=args.study or args.study_only, askew_rad=math.radians(args.askew_deg),
+            study=args.study or args.study_only, askew_rad=askew_rad,
             report=Progress(f"train {args.dof}DOF", 0).step,
         )  # fmt: skip
     except ParityError as error:

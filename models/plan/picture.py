@@ -5,7 +5,6 @@ A probing motion lies before time 0.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Final
 
 import matplotlib as mpl
@@ -20,13 +19,6 @@ from models.shared.palette import INK, MUTED, SERIES
 
 LINES: Final = ("-", "--")
 """Line of each joint."""
-
-
-def draw_plan(plan: TipPlan, path: Path) -> None:
-    """Write the figure of `plot_plan`."""
-    figure = plot_plan(plan)
-    with mpl.rc_context(FILE_STYLE):
-        figure.savefig(path, metadata={"Date": None})
 
 
 def plot_plan(plan: TipPlan) -> Figure:

@@ -12,7 +12,7 @@ import copy
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from firmware_py.core.errors import InputError
 from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel
-from models.plant.step_model import Variable, names
+from models.plant.step_model import ARGUMENTS, Variable, names
 
 Array = NDArray[np.float64]
 MOVING_RAD_S: Final = 0.1
@@ -125,18 +125,23 @@ class TipTwin:
         states = tuple(Variable(f"start_of_{v.name}", v.unit) for v in model.states)
         goals = tuple(Variable(f"held_goal_{j + 1}_rad", "rad") for j in range(self.dof))
         known, size = len(model.parameters), len(model.states)
-
+        x, payload, h = ca.SX.sym("x", size), ca.SX.sym("payload"), ca.SX.sym("h")
+        p = ca.SX.sym("p", known + size + self.dof)
+        symbols = {"x": x, "u": payload, "p": p, "h": h}
         # The model's inputs are the goals and, last, the payload.
-        def inputs_and_parameters(u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
-            return ca.vertcat(p[known + size :], u), p[:known]
-
-        name, parameters = f"{model.name}_one_step", model.parameters + states + goals
-        driven = model.rewired(name, (model.inputs[-1],), parameters, inputs_and_parameters)
-        x, u, p = ca.SX.sym("x", size), ca.SX.sym("u"), ca.SX.sym("p", len(parameters))
-        driven = replace(
-            driven,
-            outputs=model.states + model.outputs,
-            initial=ca.Function("initial", [u, p], [p[known : known + size]]),
-            output=ca.Function("output", [x, u, p], [ca.vertcat(x, driven.output(x, u, p))]),
-        )
-        return CompiledModel(driven, names(states + goals))
+        of_model = symbols | {"u": ca.vertcat(p[known + size :], payload), "p": p[:known]}
+        functions: dict[str, Any] = {}
+        for what, labels in ARGUMENTS.items():
+            if (function := getattr(model, what)) is not None:
+                result = function(*(of_model[label] for label in labels))
+                if what == "initial":
+                    result = p[known : known + size]
+                elif what == "output":
+                    result = ca.vertcat(x, result)
+                functions[what] = ca.Function(what, [symbols[label] for label in labels], [result])
+        stepped = replace(
+            model, name=f"{model.name}_one_step", inputs=(model.inputs[-1],),
+            parameters=model.parameters + states + goals, outputs=model.states + model.outputs,
+            **functions,
+        )  # fmt: skip
+        return CompiledModel(stepped, names(states + goals))

@@ -49,7 +49,7 @@ from models.trials.units import check_signal_units, other_unit
 
 CLOCK_LIMIT_S: Final = 0.010
 """Largest offset of a trial's clock that is refitted: beyond it a recording counts as not
-synchronised."""
+synchronised [assumed]."""
 
 
 class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -16,10 +16,10 @@ by measurements (the observer) u is the sample at the END of the step.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
 
 import casadi as ca
 import numpy as np
@@ -79,30 +79,6 @@ class StepModel:
                 raise KeyError(name)
             values[names.index(name)] = value
         return values
-
-    def rewired(
-        self,
-        name: str,
-        inputs: tuple[Variable, ...],
-        parameters: tuple[Variable, ...],
-        derive: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]],
-    ) -> StepModel:
-        """Model with other inputs and parameters, from which those of this one follow.
-
-        `derive` computes (u, p) of this model from (u, p) of the new one.
-        """
-        size = {"x": len(self.states), "u": len(inputs), "p": len(parameters), "h": 1}
-
-        def wrapped(what: str, function: ca.Function) -> ca.Function:
-            symbols = {label: ca.SX.sym(label, size[label]) for label in "xuph"}
-            values = symbols | dict(zip("up", derive(symbols["u"], symbols["p"]), strict=True))
-            labels = ARGUMENTS[what]
-            result = function(*(values[label] for label in labels))
-            return ca.Function(what, [symbols[label] for label in labels], [result])
-
-        functions = {what: getattr(self, what) for what in ARGUMENTS}
-        changed: dict[str, Any] = {w: wrapped(w, f) for w, f in functions.items() if f is not None}
-        return replace(self, name=name, inputs=inputs, parameters=parameters, **changed)
 
     def with_substeps(self, longest_s: float) -> StepModel:
         """Model with sub-steps of at most `longest_s`, shorter where its fastest pole requires it.

@@ -76,7 +76,6 @@ class Samples:
     observer_tip_m: Array
     rigid_tip_m: Array  # Of a link that does not bend
     di: dict[str, Array]  # (n,) each, DI by source
-    payload_error_kg: dict[str, float]  # Estimated less true payload at the end of each trial
 
     def __len__(self) -> int:
         return len(self.run)
@@ -102,9 +101,7 @@ def collect_samples(
 ) -> Samples:
     """Moving rows of trials with the DI of every source."""
     ordered, parts = by_payload(trials), []
-    payload_error_kg: dict[str, float] = {}
     for number, (t, observed) in enumerate(zip(ordered, observe(observer, ordered), strict=True)):
-        payload_error_kg[t.name] = float(observed["payload_kg"][-1] - t.meta.payload_kg)
         di = deformation_index(t)
         rows = np.isfinite(di)
         rows[: t.meta.rest_samples] = False
@@ -129,7 +126,6 @@ def collect_samples(
     return Samples(
         trials=ordered,
         di={source: stacked.pop(source) for source in ("true", "observer", "lagged")},
-        payload_error_kg=payload_error_kg,
         **stacked,
     )
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.polynomial.polynomial import polypow
 from numpy.typing import NDArray
 from scipy.special import factorial
 from sklearn.linear_model import LinearRegression
@@ -119,23 +118,6 @@ class Polynomial:
         weights = np.linalg.lstsq(matrix, self.coefficients / root, rcond=None)[0]
         rows = (vectors[:, 1:] * self.scale).T
         return rows, vectors[:, 0] + vectors[:, 1:] @ self.offset, weights
-
-    def in_si_units(self) -> dict[tuple[int, ...], Array]:
-        """The paper's β (eq. 2 and 3): coefficients of the features in SI units by exponents.
-
-        They are for display. At high degree large coefficients of both signs cancel, so a
-        computation must use the scaled form.
-        """
-        size = self.degree + 1
-        beta = np.zeros((*(size,) * len(self.scale), self.coefficients.shape[1]))
-        beta[tuple(self.powers.T)] = self.coefficients
-        for axis, (scale, offset) in enumerate(zip(self.scale, self.offset, strict=True)):
-            # Row k: coefficients of (scale x + offset)^k, lowest power first.
-            expanded = np.zeros((size, size))
-            for k in range(size):
-                expanded[k, : k + 1] = polypow([offset, scale], k)
-            beta = np.moveaxis(np.tensordot(expanded, beta, (0, axis)), 0, axis)
-        return {tuple(k): beta[tuple(k)] for k in self.powers.tolist()}
 
 
 def _powers(n: int, degree: int) -> NDArray[np.int64]:

@@ -29,6 +29,7 @@ from models.rig.sensors import MarkerLog, read_current, read_encoder, read_marke
 from models.shared.kinematics import Array
 from models.shared.worker_pool import worker_pool
 from models.trials.files import write_trial
+from models.trials.origin import CONDITIONS_FILE
 from models.trials.trial import UPRIGHT_M_S2, Trial, TrialMeta
 
 DOWN: Final = (0.0, 0.0, -1.0)
@@ -292,9 +293,6 @@ def run_trial_cases(
 
 def _run_and_write(parameters: RigParameters, case: TrialCase, directory: Path) -> Path:
     return write_trial(run_case(parameters, case), directory)
-
-
-CONDITIONS_FILE: Final = "rig_conditions.json"
 
 
 class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -36,13 +36,11 @@ Curve = tuple[float, ...]
 class FoldErrors(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """Mean Euclidean distance of a cross-validation and its standard deviation over the folds."""
+    """Mean Euclidean distance of a cross-validation."""
 
     blocks_m: float  # Blocks of time left out
-    blocks_fold_std_m: float  # Standard deviation over the folds
     # Payloads left out; absent if the training has one payload
     leave_one_payload_out_m: float | None = None
-    leave_one_payload_out_fold_std_m: float | None = None  # Standard deviation over the folds
     # Distance by which the degree is chosen: payloads left out if there are several
     selection_m: float
 
@@ -58,11 +56,10 @@ class EstimatorScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class BaselineErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Mean Euclidean distances without a polynomial, and the observer's payload error."""
+    """Mean Euclidean distances without a polynomial."""
 
     observer_tip: dict[Part, float]  # Distance in m of the plant observer's tip
     rigid_kinematics: dict[Part, float]  # Distance in m of a link that does not bend
-    final_payload_error_kg: dict[str, float]  # Estimated less true payload at the end of each trial
 
 
 class DeployedScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -74,7 +71,6 @@ class DeployedScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     # Mean over the axes that move: y of one joint, which cannot miss, does not count
     interval_coverage_mean: float
     interval_coverage_by_part: dict[Part, float]  # Mean over the axes that move, per part
-    mean_half_width_m: dict[str, float]
     in_range_fraction: float  # Fraction of rows whose inputs lie in the training box
 
 
@@ -84,17 +80,6 @@ class TipPath(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tip_x_m: Curve
     tip_y_m: Curve
     tip_z_m: Curve
-
-
-class LinkPoses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Shapes of the link at equal times of the first cycle (paper, Fig. 8)."""
-
-    payload_kg: float  # Payload of the trial with the heaviest one
-    time_s: Curve  # One value per pose
-    angle_rad: tuple[Curve, ...]  # Joint angles of each pose
-    di: Curve
-    # Base plate, then the centre of each marker row; None if a row shows no marker
-    centre_line_m: tuple[tuple[tuple[float | None, ...], ...], ...]
 
 
 class DiCurve(
@@ -127,7 +112,6 @@ class StudyCurves(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Curves of the figures; `path` and `di` are by payload and phase of the training trials."""
 
     path: dict[str, TipPath]
-    poses: LinkPoses
     di: dict[str, DiCurve]
     error: dict[Test, ErrorCurves]
     estimates: dict[Test, DiEstimates]
@@ -139,7 +123,6 @@ class StudyFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     claim: str
     holds: bool | None  # Whether it is reproduced; None if these trials cannot decide it
     text: str  # Result in one sentence with its figures
-    depends_on: str  # Property of link, servo or motion that causes the finding
 
 
 class StudyDocument(Document, frozen=True, kw_only=True):
@@ -159,9 +142,8 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     chosen_degree: int  # Degree of the least `selection_m` of estimated_di
     tests: dict[Test, TrialsSummary]
     mean_euclidean_distance_m: dict[Test, DistanceTable]
-    std_euclidean_distance_m: dict[Test, DistanceTable]
     estimators: dict[Test, dict[Source, EstimatorScores]]
-    baselines: dict[Test, BaselineErrors]  # Distances without a polynomial
+    baselines: dict[Test, BaselineErrors]
     deployed: dict[Test, DeployedScores]  # Scores of the robot's predictor
     series: StudyCurves
     # Findings of the paper, tested on these trials; none for another link than the paper's

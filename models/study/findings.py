@@ -1,7 +1,6 @@
 """Findings of the paper, tested on the present trials and stated in sentences with figures.
 
-Nothing is tuned towards a finding. `depends_on` names the property of the link, the servo or the
-motion that causes it.
+Nothing is tuned towards a finding.
 """
 
 from __future__ import annotations
@@ -52,44 +51,41 @@ def judge_findings(
     return tuple(findings)
 
 
-def _finding(claim: str, holds: bool | None, text: str, depends_on: str) -> StudyFinding:
+def _finding(claim: str, holds: bool | None, text: str) -> StudyFinding:
     verdict = {True: "Reproduced", False: "Not reproduced", None: "Cannot be tested"}[holds]
-    return StudyFinding(claim, holds, f"{verdict}: {text}.", depends_on)
+    return StudyFinding(claim, holds, f"{verdict}: {text}.")
 
 
 def _rises_with_payload(mean_di: Mapping[str, float]) -> StudyFinding:
     listed = ", ".join(f"{FRACTION.number(v, 2)} % at {k} kg" for k, v in mean_di.items())
     rises = bool(np.all(np.diff(list(mean_di.values())) > 0))
-    return _finding(
-        "DI rises with payload", rises if len(mean_di) > 1 else None, f"mean DI {listed}",
-        "the bending moment at the root: payload, amplitude and acceleration; at small payloads "
-        "marker noise alone adds about 0.07 %",
-    )  # fmt: skip
+    holds = rises if len(mean_di) > 1 else None
+    return _finding("DI rises with payload", holds, f"mean DI {listed}")
 
 
 def _degree_one_is_worst(by_degree: ByDegree, name: str) -> StudyFinding:
+    """The tip moves on an arc, which no linear map of the angle follows."""
     others = [v for d, v in by_degree.items() if d != "1"]
     return _finding(
         "Degree 1 is worst", by_degree["1"] > max(others),
         f"mean Euclidean distance on {name} {LENGTH.number(by_degree['1'])} mm at degree 1, "
         f"{LENGTH.number(min(others))} to {LENGTH.number(max(others))} mm at the others",
-        "the geometry: the tip moves on an arc, which no linear map of the angle follows",
     )  # fmt: skip
 
 
 def _di_helps(with_di: ByDegree, without_di: ByDegree, name: str) -> StudyFinding:
+    """Without friction in the servo the current alone would determine load and deformation."""
     gains = {d: without_di[d] - v for d, v in with_di.items()}
     listed = ", ".join(f"{LENGTH.number(g)}" for g in gains.values())
     return _finding(
         "DI helps at every degree", all(g > 0 for g in gains.values()),
         f"without DI the distance on {name} is larger by {listed} mm at degrees "
         f"{', '.join(gains)}",
-        "friction in the servo: without friction the current alone determines the load and so "
-        "the deformation",
     )  # fmt: skip
 
 
 def _best_degree(document: StudyDocument, by_degree: ByDegree, name: str) -> StudyFinding:
+    """The best degree is below 6 only if the trials differ by more than higher terms gain."""
     paper = PAPER_BEST_DEGREE[document.dof]
     best = min(by_degree, key=lambda d: by_degree[d])
     validated = document.cross_validation["with_di"]
@@ -100,12 +96,11 @@ def _best_degree(document: StudyDocument, by_degree: ByDegree, name: str) -> Stu
         f"(degree {paper}: {LENGTH.number(by_degree[paper], 2)} mm, degree 6: "
         f"{LENGTH.number(by_degree['6'], 2)} mm); cross-validation on the training trials, "
         f"without {name}, chooses {chosen}",
-        "trial-to-trial variation: the minimum lies below degree 6 only if the second trial "
-        "differs from the first by more than the higher terms gain",
     )  # fmt: skip
 
 
 def _negative_angles(trials: Sequence[Trial]) -> StudyFinding:
+    """A link like the paper's is softer or bent to one side; a symmetric link has a ratio of 1."""
     ratios: dict[str, list[float]] = {}
     for trial in trials:
         di, angle_rad = deformation_index(trial), trial.angle_rad[:, 0]
@@ -116,17 +111,17 @@ def _negative_angles(trials: Sequence[Trial]) -> StudyFinding:
     claim = "Negative angles deform more"
     all_ratios = [ratio for by_trial in ratios.values() for ratio in by_trial]
     if not all_ratios:
-        return _finding(claim, None, "no trial moves to both sides", "the motion of joint 1")
+        return _finding(claim, None, "no trial moves to both sides")
     listed = ", ".join(f"{np.mean(r):.2f} at {k} kg" for k, r in ratios.items())
     return _finding(
         claim, min(all_ratios) > 1.0,
         f"DI at negative over DI at positive angles of joint 1, beyond half the amplitude: "
         f"{listed}; over single trials {min(all_ratios):.2f} to {max(all_ratios):.2f}",
-        "a link that is softer or pre-bent to one side, like the paper's; a symmetric link gives 1",
     )  # fmt: skip
 
 
 def _hysteresis(training: Sequence[Trial]) -> StudyFinding:
+    """A loop at one speed does not separate inertia and damping from hysteresis."""
     measured: dict[float, list[HysteresisLoop]] = {}
     for t in sorted(training, key=lambda t: t.meta.payload_kg):
         measured.setdefault(t.meta.payload_kg, []).append(hysteresis_loop(t))
@@ -143,8 +138,6 @@ def _hysteresis(training: Sequence[Trial]) -> StudyFinding:
         "DI shows hysteresis at high payload", beyond[max(loops)],
         f"DI at rising and at falling angle differs on average by {listed}; marker noise alone "
         f"gives up to {FRACTION.number(noise, 3)} %",
-        "inertia and damping as well as hysteresis of the material: a loop at one speed does not "
-        "separate them",
     )  # fmt: skip
 
 
@@ -180,19 +173,15 @@ def hysteresis_loop(trial: Trial) -> HysteresisLoop:
 
 
 def _more_joints_deform_more(document: StudyDocument) -> StudyFinding:
+    """The paper does not state the phase of joint 2, on which the ratio depends: in phase the two
+    planes bend together, a quarter period apart the link is bent at all times.
+    """
     claim = "2DOF deforms more than 1DOF"
     one, two = document.mean_di, document.mean_di_other_dof
     if document.dof == 2:
         one, two = two, one
     ratios = {k: two[k] / one[k] for k in document.mean_di if k in document.mean_di_other_dof}
     if not ratios:
-        return _finding(
-            claim, None, "the directory holds trials of one dof only",
-            "simulate with --dof 1 2 into one directory",
-        )  # fmt: skip
+        return _finding(claim, None, "the directory holds trials of one dof only")
     listed = ", ".join(f"{v:.2f} at {k} kg" for k, v in ratios.items())
-    return _finding(
-        claim, min(ratios.values()) > 1.0, f"mean DI of 2DOF over 1DOF: {listed}",
-        "the phase of joint 2, which the paper does not state: in phase the two planes bend "
-        "together, a quarter period apart the link is bent at all times",
-    )  # fmt: skip
+    return _finding(claim, min(ratios.values()) > 1.0, f"mean DI of 2DOF over 1DOF: {listed}")

@@ -34,7 +34,6 @@ from models.predictor.polynomials import (
     predict,
 )
 from models.predictor.validation import axis_coverage, euclidean_distance_m
-from models.shared.kinematics import base_rotation
 from models.study.document import (
     BaselineErrors,
     Curve,
@@ -45,7 +44,6 @@ from models.study.document import (
     ErrorCurves,
     EstimatorScores,
     FoldErrors,
-    LinkPoses,
     StudyCurves,
     StudyDocument,
     TipPath,
@@ -113,7 +111,6 @@ def run_study(
         tests={name: summary_of(of_test.trials) for name, of_test in tested.items()},
         series=StudyCurves(
             path=_by_trial(samples, _path),
-            poses=_poses(samples, _heaviest(samples)),
             di=_by_trial(samples, _di_curve),
             error=error,
             estimates={name: _estimates(of_test) for name, of_test in tested.items()},
@@ -145,10 +142,8 @@ def _cross_validated(samples: Samples, source: Source, folds: Folds) -> dict[str
     for degree in DEGREES:
         entry = {}
         for kind, parts in folds.items():
-            errors_m = held_out_errors(degree, features, samples.tip_m, parts)
-            distances_m = [np.linalg.norm(error_m, axis=1) for error_m in errors_m]
-            entry[f"{kind}_m"] = float(np.concatenate(distances_m).mean())
-            entry[f"{kind}_fold_std_m"] = float(np.std([d.mean() for d in distances_m]))
+            error_m = np.vstack(held_out_errors(degree, features, samples.tip_m, parts))
+            entry[f"{kind}_m"] = float(np.linalg.norm(error_m, axis=1).mean())
         selection_m = entry.get("leave_one_payload_out_m", entry["blocks_m"])
         table[str(degree)] = FoldErrors(**entry, selection_m=selection_m)
     return table
@@ -163,9 +158,7 @@ def _distances(samples: Samples, fitted: Fitted) -> Distances:
     }
 
 
-TABLES: Final = (
-    "mean_euclidean_distance_m", "std_euclidean_distance_m", "estimators", "baselines", "deployed",
-)  # fmt: skip
+TABLES: Final = ("mean_euclidean_distance_m", "estimators", "baselines", "deployed")
 """Tables of the document with one entry per test."""
 
 
@@ -173,8 +166,7 @@ def _tables(samples: Samples, distances: Distances, predictor: GuardedPredictor)
     """Tables of one set of held-out trials, by their keys in the document."""
     parts = _parts(samples)
     return {
-        "mean_euclidean_distance_m": _distance_table(parts, distances, np.mean),
-        "std_euclidean_distance_m": _distance_table(parts, distances, np.std),
+        "mean_euclidean_distance_m": _distance_table(parts, distances),
         "estimators": {source: _estimator(samples, distances, source) for source in ESTIMATORS},
         "baselines": _baselines(samples, parts),
         "deployed": _deployed(samples, parts, predictor),
@@ -193,13 +185,11 @@ def _parts(samples: Samples) -> Parts:
     return parts
 
 
-def _distance_table(
-    parts: Parts, distances: Distances, statistic: Callable[[Array], Any]
-) -> DistanceTable:
-    """Statistic of the distances by part, variant and degree (paper, eq. 8)."""
+def _distance_table(parts: Parts, distances: Distances) -> DistanceTable:
+    """Mean distance by part, variant and degree (paper, eq. 8)."""
     return {
         part: {
-            variant: {str(d): float(statistic(distances[source, d][rows])) for d in DEGREES}
+            variant: {str(d): float(distances[source, d][rows].mean()) for d in DEGREES}
             for variant, source in VARIANTS.items()
         }
         for part, rows in parts.items()
@@ -233,7 +223,6 @@ def _baselines(samples: Samples, parts: Parts) -> BaselineErrors:
     return BaselineErrors(
         observer_tip=by_part(samples.observer_tip_m),
         rigid_kinematics=by_part(samples.rigid_tip_m),
-        final_payload_error_kg=samples.payload_error_kg,
     )
 
 
@@ -250,13 +239,11 @@ def _deployed(samples: Samples, parts: Parts, predictor: GuardedPredictor) -> De
         interval_coverage_by_part={
             key: axis_coverage(inside[rows], dof).mean for key, rows in parts.items()
         },
-        mean_half_width_m=dict(zip("xyz", half_width_m.mean(axis=0).tolist(), strict=True)),
         in_range_fraction=float(predictor.in_range(features).mean()),
     )
 
 
 POINTS: Final = 128  # Largest number of points of a curve: every fourth row of the study's 512
-POSES: Final = 9  # Shapes of the link in one cycle: every eighth of it
 
 
 def _by_trial(samples: Samples, curve: Callable[[Samples, int], Any]) -> dict[str, Any]:
@@ -287,31 +274,6 @@ def _path(samples: Samples, run: int) -> TipPath:
     tip_m = trial.tip_m[trial.moving]
     rows = _thin(np.flatnonzero(np.isfinite(tip_m).all(axis=1)))
     return TipPath(*map(_rounded, tip_m[rows].T))
-
-
-def _poses(samples: Samples, run: int) -> LinkPoses:
-    """Centre line of the link, base plate to tip, at equal times over the first cycle."""
-    trial = samples.trials[run]
-    start = trial.meta.rest_samples
-    end = min(len(trial) - 1, start + round(trial.meta.period_s / trial.step_s))
-    rows = np.linspace(start, end, POSES).round().astype(int)
-    markers_m = trial.marker_rows_m[rows]
-    with np.errstate(invalid="ignore"):  # a row without any marker gives NaN
-        centres_m = np.nansum(markers_m, axis=2) / np.isfinite(markers_m).sum(axis=2)
-    plate_m = base_rotation(trial.angle_rad[rows])[:, :, 2] * trial.meta.base_offset_m
-    line_m = np.concatenate([plate_m[:, None], centres_m], axis=1)
-    of_run = samples.run == run
-    di = np.interp(trial.time_s[rows], samples.time_s[of_run], samples.di["true"][of_run])
-    return LinkPoses(
-        payload_kg=trial.meta.payload_kg,
-        time_s=_rounded(trial.time_s[rows] - trial.time_s[start]),
-        angle_rad=tuple(map(_rounded, trial.angle_rad[rows])),
-        di=_rounded(di),
-        centre_line_m=tuple(
-            tuple(tuple(v if np.isfinite(v) else None for v in _rounded(point)) for point in line)
-            for line in line_m
-        ),
-    )
 
 
 def _di_curve(samples: Samples, run: int) -> DiCurve:

@@ -21,7 +21,7 @@ from models.trials.trial import Trial
 
 OriginKind = Literal["simulated", "measured", "mixed", "unknown"]
 
-RECORD: Final = "rig_conditions.json"
+CONDITIONS_FILE: Final = "rig_conditions.json"
 _SOURCES: Final[dict[str, tuple[OriginKind, str]]] = {
     "rig": ("simulated", "trials of a rig"),
     "sil": ("simulated", "runs of the loop with emulated servos"),
@@ -72,7 +72,7 @@ def recorded_rig(trial: Trial) -> str:
     if trial.meta.source != "rig" or trial.path == Path():
         return ""
     try:
-        document = read_json(trial.path.parent / RECORD, "simulate the trials again")
+        document = read_json(trial.path.parent / CONDITIONS_FILE, "simulate the trials again")
         return Path(document["trials"][trial.name]["rig"]).name
     except (InputError, LookupError, TypeError):  # missing or damaged
         return ""

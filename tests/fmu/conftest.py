@@ -105,7 +105,7 @@ def write_bundle(directory, dof):
         Manifest(
             dof=dof, period_s=PERIOD_S, degree=3, estimator="none", features=quantities,
             outputs=(), lag_ticks=(), training_data_sha256="", plant_sha256="", libraries={},
-            metrics={}, coefficients={}, files={},
+            metrics={}, files={},
         ),
     )  # fmt: skip
     return directory

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.plant.components import DRIVES, LOADS
+from models.plant.document import CLOCK_LIMIT_S
 from models.plant.effects import EFFECTS, applicable
 from models.plant.identification.evaluation import TIP
 from models.plant.identification.noise_floor import KNOWN_FRACTION, SHARED, Array, trial_variation
@@ -58,8 +59,6 @@ FRAME_TURN_PRIOR_RAD: Final = {"joint": 0.0005, "other": 0.005}
 """Standard deviation of the mocap frame's turn, common to all trials, about a joint's axis and
 about another one [assumed]: 5 mrad as the shift over a metre; about a joint's axis 0.1 mm over the
 0.2 m of a calibration square, since a larger turn there looks like an encoder's offset."""
-CLOCK_LIMIT_S: Final = 0.010
-"""Clocks that differ by no more than this count as synchronised [assumed]."""
 
 Kind = Literal["nuisance", "trial", "effect"]
 

@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.signals import unit_of
-from firmware_py.core.units import PAYLOAD, TIME, si_unit, signal_words
+from firmware_py.core.units import PAYLOAD
 from models.plant.document import (
     CLOCK_LIMIT_S,
     DofEvaluation,
@@ -31,7 +30,7 @@ from models.plant.plant import Plant
 from models.plant.simulation.runner import Array, CompiledModel, run_trial
 from models.plant.step_model import names
 from models.shared.kinematics import rigid_tip_m
-from models.shared.palette import MUTED, SIMULATED
+from models.shared.notebook import plot_against
 from models.trials.origin import origins_of
 from models.trials.trial import Trial
 
@@ -74,9 +73,7 @@ class Comparison:
 
     def plot(self) -> Figure:
         """Draw every signal over time, measured and simulated."""
-        from models.shared.notebook import plot_against
-
-        return plot_against(self.trial.name, self.trial.time_s, self.measured, self.simulated)
+        return plot_against([(self.trial.name, self.trial.time_s, self.measured, self.simulated)])
 
     def error(self, signal: str) -> Array:
         """Return simulated minus measured, shape (n,); NaN where nothing was measured."""
@@ -315,41 +312,8 @@ def over_payloads(trials: Sequence[Trial], fractions: Sequence[float]) -> list[T
 
 def plot_fit(plant: Plant, trials: Sequence[Trial]) -> Figure:
     """Measured and simulated signals of the smallest and the largest payload, by joints."""
-    from matplotlib import pyplot
-
-    from models.shared.drawing import FILE_STYLE  # loads matplotlib
-
-    columns = compare_with_trials(plant, over_payloads(trials, (0.0, 1.0)))
-    signals = list(dict.fromkeys(s for c in columns for s in c.simulated))
-    figure: Figure
-    with pyplot.rc_context(FILE_STYLE):
-        figure, axes = pyplot.subplots(
-            len(signals), len(columns), squeeze=False, sharex="col",
-            figsize=(max(6.0, 3.4 * len(columns)), 1.5 * len(signals)), layout="constrained",
-        )  # fmt: skip
-        for column, c in zip(axes.T, columns, strict=True):
-            payload = PAYLOAD.significant(c.trial.meta.payload_kg)
-            column[0].set_title(f"{c.trial.meta.dof}DOF, {payload}", fontsize=9)
-            column[-1].set_xlabel(TIME.label("time"), fontsize=8)
-            for axis, signal in zip(column, signals, strict=True):
-                if signal in c.simulated:
-                    _draw_signal(axis, c, signal)
-                else:
-                    axis.set_visible(False)
-        axes[0, 0].legend(fontsize=7)
-        figure.suptitle(f"{plant.name}: measured, and simulated from the goals", fontsize=10)
-        pyplot.close(figure)
-    return figure
-
-
-def _draw_signal(axis: Any, c: Comparison, signal: str) -> None:
-    unit = si_unit(unit_of(signal) or "1")
-    every = max(1, len(c.trial) // 300)
-    measured, simulated = (
-        np.round(unit.shown(rows[signal][::every]), 5) for rows in (c.measured, c.simulated)
-    )
-    time_s = c.trial.time_s[::every]
-    axis.plot(time_s, measured, color=MUTED, lw=2.0, label="measured")
-    axis.plot(time_s, simulated, color=SIMULATED, lw=0.8, label="plant")
-    axis.set_ylabel(unit.label(signal_words(signal)), fontsize=7)
-    axis.tick_params(labelsize=7)
+    runs = []
+    for c in compare_with_trials(plant, over_payloads(trials, (0.0, 1.0))):
+        head = f"{c.trial.meta.dof}DOF, {PAYLOAD.significant(c.trial.meta.payload_kg)}"
+        runs.append((head, c.trial.time_s, c.measured, c.simulated))
+    return plot_against(runs, f"{plant.name}: measured, and simulated from the goals")

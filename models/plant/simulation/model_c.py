@@ -57,9 +57,11 @@ def _dense(function: ca.Function, name: str) -> ca.Function:
 
 
 def without_null_tests(code: str) -> str:
-    """C code of CasADi without tests of each argument and result for NULL, a tenth of the code.
+    """C code of CasADi without tests of each argument and result for NULL.
 
-    Unchanged if a call between generated functions omits an argument or a result.
+    They cost a third of the compile time: 3.0 s instead of 2.0 s for the twin of one joint with
+    every effect. The code is unchanged if a call between generated functions omits an argument or a
+    result.
     """
     if _LEFT_OUT.search(code):
         return code

@@ -126,7 +126,6 @@ def damage_manifest(bundle, change):
         (("period_s",), 0.016),
         (("features", 0, "maximum"), 5.25),
         (("training_data_sha256",), "0" * 64),
-        (("coefficients", "1", 0), 3.0),
         (("files",), {}),
         (("content_sha256",), "0" * 64),
     ],

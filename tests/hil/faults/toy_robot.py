@@ -17,7 +17,7 @@ def manifest(dof: int) -> Manifest:
     return Manifest(
         dof=dof, period_s=PERIOD_S, degree=1, estimator="none", features=(), outputs=(),
         lag_ticks=(0,), training_data_sha256="", plant_sha256="", libraries={}, metrics={},
-        coefficients={}, files={},
+        files={},
     )  # fmt: skip
 
 

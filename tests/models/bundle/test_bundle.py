@@ -4,7 +4,6 @@ import json
 import shutil
 
 import msgspec
-import numpy as np
 import onnx
 import pytest
 
@@ -115,20 +114,6 @@ def test_bundle_holds_what_the_contract_lists_and_is_reproducible(
         assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes(), file.name
     facts = onnx.load(toy_bundle / "predictor.onnx").metadata_props
     assert {"features", "outputs", "in_range", "half_width_m"} <= {prop.key for prop in facts}
-
-
-def test_manifest_coefficients_evaluate_to_the_prediction(toy_bundle, toy_fallback):
-    manifest = read_manifest(toy_bundle)
-    names = [q.name for q in manifest.features]
-    rows = toy_fallback.samples.features("observer")[::97]
-    total = np.zeros((len(rows), 3))
-    for text, beta in manifest.coefficients.items():
-        value = np.ones(len(rows))
-        for factor in text.split():
-            name, _, power = factor.partition("^")
-            value *= 1.0 if name == "1" else rows[:, names.index(name)] ** int(power or 1)
-        total += value[:, None] * np.array(beta)
-    np.testing.assert_allclose(total, toy_fallback.predictor.predict(rows), atol=1e-6)
 
 
 def test_the_model_card_has_a_complete_row_for_everything(toy_bundle, toy_study):

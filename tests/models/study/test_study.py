@@ -13,7 +13,6 @@ from models.plant.simulation.runner import CompiledModel
 from models.predictor.fallback import fit_fallback
 from models.study.document import read_study, write_study
 from models.study.study import run_study
-from models.trials.trial import TrialSet
 
 DEGREES = ["1", "2", "3", "4", "5", "6"]
 
@@ -58,7 +57,6 @@ def test_the_exact_observer_recovers_what_true_di_gains(toy_study):
     baseline = toy_study.baselines["trial_2"]
     assert baseline.observer_tip["pooled"] < 0.1 * baseline.rigid_kinematics["pooled"]
     assert baseline.rigid_kinematics["2"] > baseline.rigid_kinematics["0"]
-    assert all(abs(kg) < 0.05 for kg in baseline.final_payload_error_kg.values())
     assert toy_study.deployed["trial_2"].interval_coverage_mean > 0.9
 
 
@@ -88,23 +86,5 @@ def test_one_payload_has_no_cross_validation_over_payloads(toy_trials, toy_obser
     one = training.where(lambda t: t.meta.payload_kg == 1.0)
     write_study(tmp_path / "study.json", study_of(one, toy_observer))
     errors = json.loads((tmp_path / "study.json").read_text())["cross_validation"]["with_di"]["3"]
-    assert set(errors) == {"blocks_m", "blocks_fold_std_m", "selection_m"}
+    assert set(errors) == {"blocks_m", "selection_m"}
     assert errors["selection_m"] == errors["blocks_m"]
-
-
-def test_an_occluded_marker_row_is_null_in_the_poses(toy_trials, toy_observer, tmp_path):
-    """All four markers of the first row are hidden in the first moving row, the first pose."""
-    training, _ = toy_trials(1).split()
-    hidden = [f"m{i:02d}_{axis}_m" for i in range(1, 5) for axis in "xyz"]
-
-    def blind(trial):
-        columns = {name: column.copy() for name, column in trial.columns.items()}
-        for name in hidden:
-            columns[name][trial.meta.rest_samples] = np.nan
-        return replace(trial, columns=columns)
-
-    path = tmp_path / "study.json"
-    write_study(path, study_of(TrialSet(tuple(map(blind, training))), toy_observer))
-    poses = read_study(path).series.poses
-    assert poses.centre_line_m[0][1] == (None, None, None)
-    assert None not in poses.centre_line_m[0][2]
