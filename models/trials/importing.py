@@ -207,19 +207,8 @@ def _check_replaced(
     if map_path is not None:
         beside = (mapping.link, mapping.plant, mapping.takes.table)
         inputs += [map_path.parent / name for name in beside if name]
-    read = {key: path for path in inputs if path and (key := _file_key(path))}
     written = [f"{name}{suffix}" for name in names for suffix in (".csv", ".toml", ".html")]
-    replaced = [file for file in written if _file_key(out / file) in read]
-    check_output_directory(out, replaced, read.values())
-
-
-def _file_key(path: Path) -> tuple[int, int] | None:
-    """Device and inode of an existing file, whatever link or spelling leads to it."""
-    try:
-        status = path.stat()
-    except (OSError, ValueError):
-        return None
-    return status.st_dev, status.st_ino
+    check_output_directory(out, written, filter(None, inputs))
 
 
 def _import(take: Take, kind: str, out: Path, name: str) -> dict[str, Any]:
