@@ -18,12 +18,11 @@ from firmware_py.config import read_config
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.log.recording import read_recording
-from models.plant.identification.identify import Identification, identify
+from models.plant.identification.identify import identify
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.shared.output_paths import check_output_file
-from models.trials.checks.trials import read_usable_trials
-from models.trials.files import conditions_beside
+from models.trials.files import conditions_beside, read_trial_directories
 
 EXAMPLE = (
     "dropstitch identify build/trials --plant models/plant/nominal.toml --out build/plant.json"
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     _check_out(args)
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
-    trials = read_usable_trials([args.trials], plant.signals)
+    trials = read_trial_directories([args.trials], plant.signals)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
     progress = Progress("identify", USUAL_STEPS, is_estimate=True)
 
@@ -61,7 +60,10 @@ def run(args: argparse.Namespace) -> int:
     progress.total = progress.done + 1
     progress.step("done")
     result.plant.write(args.out)
-    picture = _draw(result, args.out.with_suffix(".svg"))
+    from models.shared.drawing import save_svg  # loads matplotlib
+
+    picture = args.out.with_suffix(".svg")
+    save_svg(result.plot(), picture)
     warnings = result.warnings()
     data = {
         "plant": str(args.out),
@@ -83,16 +85,6 @@ def run(args: argparse.Namespace) -> int:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return DONE
-
-
-def _draw(result: Identification, path: Path) -> Path:
-    from matplotlib import pyplot
-
-    from models.shared.drawing import FILE_STYLE
-
-    with pyplot.rc_context(FILE_STYLE):
-        result.plot().savefig(path, format="svg")
-    return path
 
 
 def _check_out(args: argparse.Namespace) -> None:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from firmware_py.core.units import CURRENT, LENGTH, POSITION, TIME
 from firmware_py.goals.tip_plan import TipPlan
-from models.shared.drawing import FILE_STYLE
+from models.shared.drawing import FILE_STYLE, save_svg
 from models.shared.palette import INK, MUTED, SERIES
 
 LINES: Final = ("-", "--")
@@ -24,9 +24,7 @@ LINES: Final = ("-", "--")
 
 def draw_plan(plan: TipPlan, path: Path) -> None:
     """Write the figure of `plot_plan`."""
-    figure = plot_plan(plan)
-    with mpl.rc_context(FILE_STYLE):
-        figure.savefig(path, metadata={"Date": None})
+    save_svg(plot_plan(plan), path)
 
 
 def plot_plan(plan: TipPlan) -> Figure:
