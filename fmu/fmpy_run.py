@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,12 +20,12 @@ from firmware_py.core.signals import AGE, DI, PAYLOAD, PERIOD_S, TIME, observer_
 from firmware_py.link.link_description import STUDY_LINK
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_models import FmuParts, embedded_parts
-from models.plant.identification.doubts import ALIKE_M_S2, SAME_SIZE_FRACTION
+from models.plant.identification.doubts import differences_from_plant
 from models.plant.simulation.runner import model_inputs
 from models.plant.step_model import StepModel, names
 from models.shared.palette import SERIES
 from models.trials.deformation import deformation_index
-from models.trials.trial import Trial
+from models.trials.trial import LINK_SIZES, Trial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -238,33 +237,20 @@ def usual_payload_kg(parts: FmuParts) -> float:
 
 def check_link_of_trial(parts: FmuParts, trial: Trial, parameters: Mapping[str, float]) -> None:
     """Refuse a trial of another link than the FMU's, if the FMU has the plant of a link."""
-    plant, meta = parts.plant, trial.meta
-    if plant is None or plant.load != "link" or not meta.link_length_m:
+    plant = parts.plant
+    if plant is None or plant.load != "link":
         return
-
-    def own(name: str) -> float:
-        return parameters.get(f"parameters.{name}", plant.parameters[name].value)
-
-    for name in ("link_length_m", "link_width_m", "base_offset_m"):
-        size_m = getattr(meta, name)
-        if abs(size_m - own(name)) > SAME_SIZE_FRACTION * meta.link_length_m:
-            raise InputError(
-                trial.path,
-                f"is of another link than the FMU: {name} {size_m:g} instead of {own(name):g}",
-                f"give a trial of the FMU's link, or pass --set parameters.{name}={size_m:g}",
-            )
-    unit = (plant.link or STUDY_LINK).gravity.unit
-    gravity = tuple(own("gravity_m_s2") * axis for axis in unit)
-    if math.dist(gravity, meta.gravity) > ALIKE_M_S2:
-        there, here = (
-            "[" + ", ".join(f"{part + 0.0:.3g}" for part in vector) + "]"  # no -0
-            for vector in (meta.gravity, gravity)
-        )
+    start = {
+        q: parameters[key] for q in plant.parameters if (key := f"parameters.{q}") in parameters
+    }
+    for name, of_trial, of_fmu in differences_from_plant(trial.meta, plant.with_values(start)):
+        change = "build the FMU from a plant of this link"
+        if name in LINK_SIZES:
+            change = f"pass --set parameters.{name}={of_trial}"
         raise InputError(
             trial.path,
-            f"is of a link with another mounting than the FMU's: gravity_m_s2 {there} instead of "
-            f"{here}",
-            "give a trial of the FMU's link, or build the FMU from a plant of this link",
+            f"is of another link than the FMU: {name} {of_trial} instead of {of_fmu}",
+            f"give a trial of the FMU's link, or {change}",
         )
 
 

@@ -22,8 +22,7 @@ from models.plant.identification.identify import identify
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.shared.output_paths import check_output_file
-from models.trials.checks.trials import read_usable_trials
-from models.trials.files import conditions_beside
+from models.trials.files import conditions_beside, read_trial_directories
 
 EXAMPLE = (
     "dropstitch identify build/trials --plant models/plant/nominal.toml --out build/plant.json"
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     _check_out(args)
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
-    trials = read_usable_trials([args.trials], plant.signals)
+    trials = read_trial_directories([args.trials], plant.signals)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
     progress = Progress("identify", USUAL_STEPS, is_estimate=True)
 

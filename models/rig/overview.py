@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from firmware_py.core.units import ANGLE, CURRENT, DEFORMATION, LENGTH, PAYLOAD, TIME
-from models.shared.drawing import FILE_STYLE
+from models.shared.drawing import FILE_STYLE, save_svg
 from models.shared.kinematics import rigid_tip_m
 from models.shared.palette import ordered_colours
 from models.trials.deformation import deformation_index
@@ -61,6 +61,6 @@ def draw_overview(directory: Path) -> Path:
             for axis, (x_label, y_label) in zip(column, _LABELS, strict=True):
                 axis.set(xlabel=x_label, ylabel=y_label)
             column[0].legend(title="payload", fontsize="small", loc="upper right")
-        figure.savefig(path, format="svg")
+        save_svg(figure, path)
         plt.close(figure)
     return path

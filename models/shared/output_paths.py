@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import contextlib
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,8 +17,9 @@ def check_output_directory(
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}", "is a file", "name a directory")
     _check_place(path)
-    for written, source in itertools.product([path / name for name in names], inputs):
-        if is_same_file(written, source):
+    read = _identities(inputs)
+    for written in (path / name for name in names):
+        if _identities([written]) & read:
             raise InputError(
                 f"--out {path}", f"would replace {written}, which is read", "name another directory"
             )
@@ -28,14 +29,19 @@ def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse a file that cannot be written, or that the command reads."""
     if path.is_dir():
         raise InputError(f"--out {path}", "is a directory", "name a file")
-    if any(is_same_file(path, source) for source in inputs):
+    if _identities([path]) & _identities(inputs):
         raise InputError(f"--out {path}", "is a file that is read", "name another file")
     _check_place(path.parent)
 
 
-def is_same_file(a: Path, b: Path) -> bool:
-    """Whether two paths lead to one file or directory, also if a link or the case differs."""
-    return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
+def _identities(paths: Iterable[Path]) -> set[tuple[int, int]]:
+    """Device and inode of the existing files, whatever link or spelling leads to them."""
+    identities = set()
+    for path in paths:
+        with contextlib.suppress(OSError, ValueError):
+            status = path.resolve().stat()
+            identities.add((status.st_dev, status.st_ino))
+    return identities
 
 
 def _check_place(path: Path) -> None:

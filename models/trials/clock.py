@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -266,10 +267,11 @@ def _by_motion(
 
 
 class ClockSignal(NamedTuple):
-    """Samples `values` (n, dof) at times `time_s` (n,)."""
+    """Samples `values` (n, dof) of a file at times `time_s` (n,)."""
 
     time_s: Array
     values: Array
+    path: Path
 
 
 class Direction(NamedTuple):
@@ -290,7 +292,7 @@ def _angle(servo: list[Series], dof: int) -> ClockSignal:
         raise InputError(servo[0].path, f"has no {names}", "map them under [columns]")
     series, values = angles
     whole = _complete(series, values)
-    return ClockSignal(series.time_s[whole], values[whole])
+    return ClockSignal(series.time_s[whole], values[whole], series.path)
 
 
 def _direction(mocap: list[Series], meta: TrialMeta) -> Direction:
@@ -317,7 +319,7 @@ def _direction(mocap: list[Series], meta: TrialMeta) -> Direction:
     if bend is not None:
         bend = bend[whole, : meta.dof]
         bend = bend if np.isfinite(bend).all(axis=1).sum() > LEAST_SAMPLES else None
-    return Direction(ClockSignal(series.time_s[whole], root[whole]), bend, *ratios)
+    return Direction(ClockSignal(series.time_s[whole], root[whole], series.path), bend, *ratios)
 
 
 def _complete(series: Series, values: Array) -> Array:
@@ -458,6 +460,8 @@ MODEL_ERROR_S: Final = 0.25
 """Correlation time of model errors: the period of the fastest motion, 4 Hz."""
 LEAST_SAMPLES: Final = 100
 """Fewest samples of half of the motion for its offset, or with a measured bend."""
+FEWEST_COMPARED: Final = 10
+"""Fewest samples of the motion capture that are compared with the angle [assumed]."""
 DRIFT_FLOOR_S: Final = 1e-4
 """Standard deviation of the difference of two offsets, beyond that of their fits: encoder steps."""
 
@@ -541,12 +545,18 @@ class _Comparison:
     @classmethod
     def near(cls, angle: ClockSignal, direction: Direction, start_s: float) -> _Comparison:
         """Comparison of the samples that no gap of the servo's log hides."""
-        time_s, values = direction.root
+        time_s, values, path = direction.root
         shifted, steps = time_s - start_s, np.diff(angle.time_s)
         inside = (shifted >= angle.time_s[0] + RANGE_S) & (shifted <= angle.time_s[-1] - RANGE_S)
         after = np.clip(np.searchsorted(angle.time_s, shifted), 1, len(angle.time_s) - 1)
         inside &= steps[after - 1] <= 3 * np.median(steps)
         bend = np.zeros_like(values) if direction.bend is None else direction.bend
+        if np.isfinite(bend[inside]).all(axis=1).sum() < FEWEST_COMPARED:
+            raise InputError(
+                angle.path,
+                f"nearly all samples of {path} lie in gaps of its times",
+                "record the angle at a uniform step, or give --offset SECONDS",
+            )
         spline = CubicSpline(angle.time_s, angle.values)
         return cls(spline, start_s, time_s[inside], values[inside], bend[inside])
 

@@ -33,8 +33,10 @@ def marker_lengths_m(trial: Trial) -> Array:
 def deformation_index(trial: Trial) -> Array:
     """Return the Deformation Index of every row of a trial.
 
-    The reference lengths are the means over the trial's rest rows. A row averages over its visible
-    lengths and is NaN if there is none.
+    The reference lengths are the means over the trial's rest rows. Where lengths are occluded,
+    each segment of the edges counts as the mean of its visible lengths, and a row is NaN if a
+    segment has none. The segments at the base strain most and need one marker, the others need two,
+    so a mean over all visible lengths would rise with occlusion.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def deformation_index(trial: Trial) -> Array:
     Raises
     ------
     InputError
-        If the trial declares no rest rows, or a length is occluded in all of them.
+        If the trial declares no rest rows, or all lengths of a segment are occluded in them.
 
     Examples
     --------
@@ -73,18 +75,23 @@ def deformation_index(trial: Trial) -> Array:
             trial.path, "rest_samples is 0, so the index has no reference",
             "record the link at rest before it moves and set rest_samples",
         )  # fmt: skip
-    lengths = marker_lengths_m(trial)
+    lengths, layout = marker_lengths_m(trial), trial.meta.layout
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
         reference = np.nanmean(lengths[:rest], axis=0)
-        unseen = np.flatnonzero(np.isnan(reference))
-        if len(unseen):
+        unseen = np.isnan(reference).reshape(layout.rows, layout.corners).all(axis=1)
+        if unseen.any():
             raise InputError(
                 trial.path,
-                f"length {unseen[0] + 1} of {lengths.shape[1]} is occluded in all {rest} rest rows",
+                f"the lengths to marker row {np.argmax(unseen) + 1} of {layout.rows} are occluded "
+                f"in all {rest} rest rows",
                 "use a trial whose markers are visible at rest",
             )
-        index = np.nanmean(np.abs(lengths - reference) / reference, axis=1)
+        strain = np.abs(lengths - reference) / reference
+        index = strain.mean(axis=1)
+        hidden = np.isnan(index)
+        by_segment = strain[hidden].reshape(-1, layout.rows, layout.corners)
+        index[hidden] = np.nanmean(by_segment, axis=2).mean(axis=1)
     occluded = float(np.mean(np.isnan(lengths)))
     if occluded > MAX_OCCLUDED_FRACTION:
         warnings.warn(

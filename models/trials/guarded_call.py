@@ -12,14 +12,13 @@ import faulthandler
 import io
 import math
 import os
-import select
 import signal
 import tempfile
-import time
 import warnings
 from collections.abc import Callable
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Final
 
 import msgspec
 
@@ -34,9 +33,9 @@ ELAPSED_FACTOR: Final = 10.0
 MOST_WRITTEN_BYTES: Final = 400_000_000
 """Largest file that a child may write: twice a trial of 10⁷ numbers of 20 digits."""
 
-_RESULT, _REFUSED, _MEMORY, _DISK, _FAILED = b"r", b"i", b"m", b"d", b"f"
-_CRASHED: Final = "is damaged or too large: the program that reads it has crashed"
-_REPORT: Final = "; if the file is sound, report this sentence"
+Outcome = bytes | int | tuple[str, str, str]
+"""Result of the work, number of a disk's error, or the parts of an `InputError`."""
+
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors that end the writing of a result: a full disk, a quota, `MOST_WRITTEN_BYTES`."""
 
@@ -55,128 +54,88 @@ def guarded_call(
     `memory_bytes`: memory in addition to the present use (Linux; other systems do not limit it).
     `seconds`: limit of the processor time; the elapsed time may be `ELAPSED_FACTOR` times as long.
     """
-    if not hasattr(os, "fork"):
-        return _called_here(work, where, remedy)
-    reader, writer = os.pipe()
-    with tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
-        child = _fork()
-        if child == 0:
-            os.close(reader)
-            _live(work, writer, scratch, memory_bytes, seconds)
-        os.close(writer)
-        try:
-            answer, late = _received(reader, time.monotonic() + ELAPSED_FACTOR * seconds)
-        finally:
-            os.close(reader)
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)  # it has sent its result, or never will
-            _, status = os.waitpid(child, 0)
-    kind, content = answer[:1], answer[1:]
-    if kind == _RESULT and not late:
-        return content
-    _raise_sent(kind if not late else b"", content, where, remedy)
-    if late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
-        raise InputError(where, f"takes more than {seconds:g} s to read", remedy)
-    if kind == _MEMORY:
-        raise InputError(
-            where, f"takes more than {DATA_SIZE.number(memory_bytes)} MB to read", remedy
-        )
-    raise InputError(where, _CRASHED, remedy)
-
-
-def _raise_sent(kind: bytes, content: bytes, where: Path | str, remedy: str) -> None:
-    """Raise the exception that a child has sent, if any."""
-    if kind == _REFUSED:
-        raise InputError(*msgspec.msgpack.decode(content, type=tuple[str, str, str]))
-    if kind == _DISK:
-        raise OSError(int(content), os.strerror(int(content)))
-    if kind == _FAILED:
-        raise InputError(where, content.decode(errors="replace"), remedy + _REPORT)
-
-
-def _failure(error: Exception) -> str:
-    return f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:300]})"
-
-
-def _called_here(work: Callable[[], bytes], where: Path | str, remedy: str) -> bytes:
-    """Run the work in this process, with the same messages as from a child."""
-    printed = io.StringIO()
-    try:
+    if hasattr(os, "fork"):
+        outcome = _outcome_of_child(work, str(where), remedy, memory_bytes, seconds)
+    else:
+        printed = io.StringIO()
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            return work()
-    except InputError:
-        raise
-    except MemoryError:
-        raise InputError(where, "takes more memory to read than there is", remedy) from None
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno in _DISK_ERRORS:
-            raise
-        raise InputError(where, _failure(error), remedy + _REPORT) from error
+            outcome = _outcome(work, str(where), remedy, "more memory to read than there is")
+    if isinstance(outcome, bytes):
+        return outcome
+    if isinstance(outcome, int):
+        raise OSError(outcome, os.strerror(outcome))
+    raise InputError(*outcome)
 
 
-def _fork() -> int:
-    """Fork, without the warning of Python 3.12 about threads.
-
-    OpenBLAS has handlers that make its threads survive a fork.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return os.fork()
-
-
-def _received(reader: int, deadline_s: float) -> tuple[bytes, bool]:
-    """Read a pipe until it closes; return the data and whether the deadline passed."""
-    parts: list[bytes] = []
-    while (left_s := deadline_s - time.monotonic()) > 0:
-        if select.select([reader], [], [], left_s)[0]:
-            part = os.read(reader, 1 << 20)
-            if not part:
-                return b"".join(parts), False
-            parts.append(part)
-    return b"", True
-
-
-def _live(
-    work: Callable[[], bytes], writer: int, scratch: str, memory_bytes: int, seconds: float
-) -> NoReturn:
-    """Run the child, which always exits here, without the clean-up of the parent."""
+def _outcome(work: Callable[[], bytes], where: str, remedy: str, memory: str) -> Outcome:
+    """Outcome of the work in this process; `memory` says how much is more than there is."""
     try:
-        faulthandler.disable()
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for stream in (0, 1, 2):
-            os.dup2(nowhere, stream)
-        tempfile.tempdir = scratch
-        _limit(memory_bytes, seconds)
+        return work()
+    except InputError as error:
+        refusal = error
+    except Exception as error:
+        number = error.errno if isinstance(error, OSError) else None
+        if number in _DISK_ERRORS:
+            return number
+        if isinstance(error, MemoryError) or number == errno.ENOMEM:
+            refusal = InputError(where, f"takes {memory}", remedy)
+        else:
+            text = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+            report = f"{remedy}; if the file is sound, report this sentence"
+            refusal = InputError(where, f"cannot be read ({text})", report)
+    return refusal.where, refusal.what, refusal.remedy
+
+
+def _outcome_of_child(
+    work: Callable[[], bytes], where: str, remedy: str, memory_bytes: int, seconds: float
+) -> Outcome:
+    """Outcome of the work in a child; only msgpack comes back, as pickle would run code."""
+    context = get_context("fork")
+    reader, writer = context.Pipe(duplex=False)
+    with reader, tempfile.TemporaryDirectory(prefix="dropstitch-") as scratch:
+        memory = f"more than {DATA_SIZE.number(memory_bytes)} MB to read"
+
+        def live() -> None:
+            reader.close()
+            _confine(scratch, memory_bytes, seconds)
+            writer.send_bytes(msgspec.msgpack.encode(_outcome(work, where, remedy, memory)))
+
+        child = context.Process(target=live)
+        with writer, warnings.catch_warnings():
+            # Python 3.12 warns about threads; those of OpenBLAS survive a fork.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child.start()
+        is_late, answer = True, b""
         try:
-            answer = _RESULT + work()
-        except InputError as error:
-            refusal = (error.where, error.what, error.remedy)
-            answer = _REFUSED + msgspec.msgpack.encode(refusal)
-        except MemoryError:
-            answer = _MEMORY
-        except Exception as error:
-            if isinstance(error, OSError) and error.errno in _DISK_ERRORS:
-                answer = _DISK + str(error.errno).encode()
-            elif isinstance(error, OSError) and error.errno == errno.ENOMEM:
-                answer = _MEMORY
-            else:
-                answer = _FAILED + _failure(error).encode(errors="replace")
-        while answer:
-            answer = answer[os.write(writer, answer) :]
-    except MemoryError:
-        os.write(writer, _MEMORY)
-    finally:
-        os._exit(0)
+            is_late = not reader.poll(ELAPSED_FACTOR * seconds)
+            answer = b"" if is_late else reader.recv_bytes()
+        except (EOFError, OSError):
+            pass  # it crashed, before its answer or within it
+        finally:
+            child.kill()  # it has answered, or never will
+            child.join()
+    if answer:
+        outcome: Outcome = msgspec.msgpack.decode(answer, type=Outcome)
+        return outcome
+    if is_late or child.exitcode == -signal.SIGXCPU:
+        return where, f"takes more than {seconds:g} s to read", remedy
+    return where, "is damaged or too large: the program that reads it has crashed", remedy
 
 
-def _limit(memory_bytes: int, seconds: float) -> None:
+def _confine(scratch: str, memory_bytes: int, seconds: float) -> None:
+    """Silence this process, and limit its memory, processor time and files."""
     import resource  # only where there is a fork
 
+    faulthandler.disable()
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(nowhere, stream)
+    tempfile.tempdir = scratch
+    limit_memory(memory_bytes)
     limits = {
         resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: math.ceil(seconds),
         resource.RLIMIT_FSIZE: MOST_WRITTEN_BYTES,
     }  # fmt: skip
-    limit_memory(memory_bytes)
     for limit, most in limits.items():
         hard = resource.getrlimit(limit)[1]
         least = most if hard == resource.RLIM_INFINITY else min(most, hard)

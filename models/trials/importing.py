@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -21,7 +21,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import MOST_BYTES
 from firmware_py.core.units import DURATION
 from models.shared.output_paths import check_output_directory
-from models.trials.files import check_trial_name, read_trial
+from models.trials.files import PlantSignals, check_trial_name, read_trial
 from models.trials.guarded_call import SECONDS, guarded_call
 from models.trials.pipeline import import_take
 from models.trials.recordings.mapping import RecordingMap, Take, find_takes, read_mapping
@@ -42,6 +42,8 @@ class ImportedTake:
         The recording.
     facts : dict of str to Any
         Facts about the import, as `dropstitch import --json` prints them.
+    signals : mapping of str to SignalRole
+        Signals of the plant that the map names; empty for the link.
 
     Examples
     --------
@@ -51,6 +53,7 @@ class ImportedTake:
 
     file: Path
     facts: dict[str, Any]
+    signals: PlantSignals = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<ImportedTake {self.file.name}: {self.summary()}>"
@@ -64,7 +67,7 @@ class ImportedTake:
         """Read the trial that was written."""
         if self.refused:
             raise InputError(self.file, "was refused", "see summary() for the reason")
-        return read_trial(self.facts["trial"])
+        return read_trial(self.facts["trial"], self.signals)
 
     def warnings(self) -> list[str]:
         """Return the findings that make the trial doubtful, one sentence each."""
@@ -188,7 +191,7 @@ def import_recordings(
             if len(takes) == 1:
                 raise
             facts = {"file": str(take.file), "verdict": "refused", "why": str(error)}
-        results.append(ImportedTake(take.file, facts))
+        results.append(ImportedTake(take.file, facts, known.signals))
     return results
 
 
@@ -204,19 +207,8 @@ def _check_replaced(
     if map_path is not None:
         beside = (mapping.link, mapping.plant, mapping.takes.table)
         inputs += [map_path.parent / name for name in beside if name]
-    read = {key: path for path in inputs if path and (key := _file_key(path))}
     written = [f"{name}{suffix}" for name in names for suffix in (".csv", ".toml", ".html")]
-    replaced = [file for file in written if _file_key(out / file) in read]
-    check_output_directory(out, replaced, read.values())
-
-
-def _file_key(path: Path) -> tuple[int, int] | None:
-    """Device and inode of an existing file, whatever link or spelling leads to it."""
-    try:
-        status = path.stat()
-    except (OSError, ValueError):
-        return None
-    return status.st_dev, status.st_ino
+    check_output_directory(out, written, filter(None, inputs))
 
 
 def _import(take: Take, kind: str, out: Path, name: str) -> dict[str, Any]:

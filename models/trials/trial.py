@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -330,6 +331,45 @@ class TrialSet(tuple[Trial, ...]):
     def content_sha256(self) -> str:
         """Return the hash of all trials without their names, which depend on their directories."""
         return hashlib.sha256("".join(sorted(t.sha256() for t in self)).encode()).hexdigest()
+
+
+LINK_SIZES: Final = ("link_length_m", "link_width_m", "base_offset_m")
+SAME_SIZE_FRACTION: Final = 0.01
+"""Largest difference in size, relative to the length: the accuracy of a tape [assumed]."""
+ALIKE_M_S2: Final = 0.3
+"""Largest difference between two gravity vectors that count as equal: 2° or 3 % [assumed]."""
+
+
+def link_differences(one: TrialMeta, other: TrialMeta) -> list[tuple[str, str, str]]:
+    """Conditions by which two trials are of two links: name and both values.
+
+    Sizes and places of markers measured with a tape differ a little, and so do 9.81 and 9.80665.
+    """
+    most_m = SAME_SIZE_FRACTION * max(one.link_length_m, other.link_length_m)
+
+    def differ(a: Iterable[float], b: Iterable[float]) -> bool:
+        return any(abs(x - y) > most_m for x, y in zip(a, b, strict=True))
+
+    sizes = [(name, getattr(one, name), getattr(other, name)) for name in LINK_SIZES]
+    differences = [(n, f"{a:g}", f"{b:g}") for n, a, b in sizes if differ([a], [b])]
+    a, b = one.layout, other.layout
+    if not differences and (
+        (a.rows, a.corners) != (b.rows, b.corners)
+        or differ(a.rows_m, b.rows_m)
+        or differ(chain(*a.corners_m), chain(*b.corners_m))
+    ):
+        differences.append(("markers", _worded(a), _worded(b)))
+    if math.dist(one.gravity, other.gravity) > ALIKE_M_S2:
+        differences.append(("gravity_m_s2", _listed(one.gravity), _listed(other.gravity)))
+    return differences
+
+
+def _listed(vector: Iterable[float]) -> str:
+    return "[" + ", ".join(f"{part + 0.0:.3g}" for part in vector) + "]"  # no -0
+
+
+def _worded(layout: MarkerLayout) -> str:
+    return f"{layout.rows} rows of {layout.corners}, the first at {layout.rows_m[0]:g} m"
 
 
 REST_FRACTION: Final = 1e-3

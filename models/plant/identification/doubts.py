@@ -7,11 +7,11 @@ warning of one sentence.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 
 from firmware_py.core.errors import InputError
@@ -27,14 +27,7 @@ from models.plant.identification.fit import (
 from models.plant.parameter import Parameter, bound_reached
 from models.plant.plant import Plant
 from models.trials.checks.payloads import payload_unit_cause
-from models.trials.checks.trials import refuse_mixed_links
-from models.trials.trial import Trial
-
-SAME_SIZE_FRACTION: Final = 0.01
-"""Largest difference in size, relative to the length: the accuracy of a tape [assumed]."""
-
-ALIKE_M_S2: Final = 0.3
-"""Largest difference between two gravity vectors that count as equal: 2° or 3 % [assumed]."""
+from models.trials.trial import LINK_SIZES, Trial, TrialMeta, link_differences
 
 
 def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial]) -> None:
@@ -43,22 +36,22 @@ def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial])
     Links differ in size, gravity or largest payload: the observer's estimate of the payload is
     limited to the most that the link carries. A plant that is no link has nothing to compare.
     """
-    if plant.load != "link":
-        return
-    refuse_mixed_links(trials)
-    link = plant.link or STUDY_LINK
-    gravity = [plant.parameters["gravity_m_s2"].value * axis for axis in link.gravity.unit]
-    for trial in trials:
-        length_m, payload_kg = trial.meta.link_length_m, trial.meta.payload_kg
-        for name in ("link_length_m", "link_width_m", "base_offset_m") if length_m else ():
-            of_plant_m, of_trial_m = plant.parameters[name].value, getattr(trial.meta, name)
-            if abs(of_trial_m - of_plant_m) > SAME_SIZE_FRACTION * length_m:
-                raise InputError(
-                    trial.path,
-                    f"{name} is {of_trial_m:g} m, in the plant {where} {of_plant_m:g} m",
-                    "correct the one that is wrong, or name a plant of this link",
-                )
-        if plant.link is not None and payload_kg > link.most_payload_kg:
+    link = plant.link
+    for trial in trials if plant.load == "link" else ():
+        for name, of_trial, of_plant in differences_from_plant(trial.meta, plant):
+            raise InputError(
+                trial.path,
+                f"{name} is {of_trial}, in the plant {where} {of_plant}",
+                "correct the one that is wrong, or name the file of this link: --plant link.toml",
+            )
+        for name, of_trial, of_first in link_differences(trial.meta, trials[0].meta):
+            raise InputError(
+                trial.path,
+                f"{name} is {of_trial}, in {trials[0].path} {of_first}",
+                "correct it, or keep the trials of each link in a directory of their own",
+            )
+        payload_kg = trial.meta.payload_kg
+        if link is not None and payload_kg > link.most_payload_kg:
             raise InputError(
                 trial.path,
                 f"has a payload of {payload_kg:g} kg, a plant of this link takes "
@@ -66,16 +59,18 @@ def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial])
                 f"raise payload_kg in the link's file, now {link.payload_kg:g}, and name that "
                 "file: --plant link.toml",
             )
-        if math.dist(gravity, trial.meta.gravity) > ALIKE_M_S2:
-            of_trial, of_plant = (
-                ", ".join(f"{axis:.3g}" for axis in vector)
-                for vector in (trial.meta.gravity, gravity)
-            )
-            raise InputError(
-                trial.path,
-                f"gravity is [{of_trial}] m/s², in the plant [{of_plant}] m/s²",
-                "name the link's file: --plant link.toml, with its mounting under [gravity]",
-            )
+
+
+def differences_from_plant(meta: TrialMeta, plant: Plant) -> list[tuple[str, str, str]]:
+    """Conditions by which a trial is of another link than a plant: name, and both values.
+
+    Sizes that the trial does not state are not compared, nor its markers.
+    """
+    unit = (plant.link or STUDY_LINK).gravity.unit
+    gravity = tuple(plant.parameters["gravity_m_s2"].value * axis for axis in unit)
+    sizes = {name: plant.parameters[name].value for name in LINK_SIZES if meta.link_length_m}
+    of_plant = msgspec.structs.replace(meta, gravity_m_s2=gravity, **sizes)
+    return [row for row in link_differences(meta, of_plant) if row[0] != "markers"]
 
 
 MOST_DEFLECTION: Final = 0.3

@@ -9,7 +9,6 @@ values.
 
 from __future__ import annotations
 
-import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -34,7 +33,7 @@ from models.plant.simulation.runner import (
     trial_parameters,
 )  # fmt: skip
 from models.plant.step_model import StepModel, names
-from models.trials.deformation import deformation_index, marker_lengths_m
+from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
 
 LINK_SIGNALS: Final = ("tip", "di", "current")
@@ -76,28 +75,14 @@ the current has a low weight [assumed]."""
 
 
 def measured_signals(trial: Trial) -> dict[str, Array]:
-    """Columns of a trial, and its Deformation Index if it has markers."""
+    """Columns of a trial, and its Deformation Index if it has markers; NaN if they are occluded."""
     signals = dict(trial.columns)
     if "m01_x_m" in signals and trial.meta.rest_samples:
-        signals["di"] = _balanced_index(trial)
+        try:
+            signals["di"] = deformation_index(trial)
+        except InputError:  # no reference at rest
+            signals["di"] = np.full(len(trial), np.nan)
     return signals
-
-
-def _balanced_index(trial: Trial) -> Array:
-    """Deformation Index in which each segment of an edge has the same weight.
-
-    The segments at the base strain most and need one marker, the others need two. So a mean over
-    the visible lengths would rise with occlusion. Without occlusion this is `deformation_index`.
-    """
-    lengths = marker_lengths_m(trial)
-    if np.isfinite(lengths).all():
-        return deformation_index(trial)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
-        reference = np.nanmean(lengths[: trial.meta.rest_samples], axis=0)
-        strain = np.abs(lengths - reference) / reference
-        by_row = strain.reshape(len(trial), trial.meta.layout.rows, -1)
-        return np.asarray(np.nanmean(by_row, axis=2).mean(axis=1))
 
 
 def usual_error(unit: str, measured: Sequence[Array]) -> float:

@@ -6,14 +6,12 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
 
 import msgspec
 import numpy as np
 
 from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.link.marker_layout import MarkerLayout
 from models.trials.checks import causes
 from models.trials.checks.base import judge_root_path
 from models.trials.checks.causes import ImportFinding
@@ -38,7 +36,7 @@ from models.trials.checks.verdict import ImportVerdict
 from models.trials.files import PlantSignals, read_trial_directories
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series
-from models.trials.trial import Trial, TrialSet
+from models.trials.trial import Trial, TrialSet, link_differences
 
 
 def check_trial(trial: Trial) -> ImportVerdict:
@@ -109,9 +107,6 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
 
 # --- trials that are fitted together -------------------------------------------------------------
 
-LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout")
-"""Conditions that all trials of one link share."""
-
 
 def check_trials(trials: TrialSet) -> list[ImportFinding]:
     """Findings on trials that are fitted together: links, pressures, payloads, held-out trials."""
@@ -125,28 +120,16 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
     return findings
 
 
-def refuse_mixed_links(trials: Sequence[Trial]) -> None:
-    """Refuse trials of several links, as `check_trials` does, before anything is fitted."""
-    for finding in _judge_links(trials)[:1]:
-        first = [getattr(trials[0].meta, key) for key in LINK_FACTS]
-        other = next(t for t in trials if [getattr(t.meta, key) for key in LINK_FACTS] != first)
-        raise InputError(other.path, finding.text, f"correct it, or {finding.remedy}")
-
-
 def _judge_links(trials: Sequence[Trial]) -> list[ImportFinding]:
-    """Findings on trials of several links: sizes, mounting, markers."""
+    """Findings on trials of other links than the first one's: sizes, mounting, markers."""
+    values: dict[str, list[str]] = {}
+    for trial in trials[1:]:
+        for key, first, other in link_differences(trials[0].meta, trial.meta):
+            values.setdefault(key, [first]).append(other)
     findings: list[ImportFinding] = []
-    for key in LINK_FACTS:
-        values = list(dict.fromkeys(getattr(t.meta, key) for t in trials))
-        if len(values) > 1:
-            findings += causes.LINK_SIZE.raised(key=key, listed="; ".join(map(_worded, values)))
+    for key, listed in values.items():
+        findings += causes.LINK_SIZE.raised(key=key, listed="; ".join(dict.fromkeys(listed)))
     return findings
-
-
-def _worded(value: Any) -> str:
-    if isinstance(value, MarkerLayout):
-        return f"{value.rows} rows of {value.corners}, the first at {value.rows_m[0]:g} m"
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:

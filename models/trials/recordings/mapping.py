@@ -261,7 +261,7 @@ def _signals(path: Path) -> dict[str, SignalRole]:
 
 _SUFFIXES: Final = {
     "motive": (".csv",), "c3d": (".c3d",), "recording": (".mcap",),
-    "table": (".csv", ".tsv", ".json", ".mat"),
+    "table": (".csv", ".tsv", ".trc", ".json", ".mat"),
 }  # fmt: skip
 """Suffixes of the files in a folder that count as takes, by format."""
 

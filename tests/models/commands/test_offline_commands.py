@@ -11,6 +11,8 @@ from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from models.commands import goalmap
 from models.plan.learning import RecordedRun
+from models.plant.identification.evaluation import evaluate_plant
+from models.plant.identification.identify import Identification
 from models.plant.linear_twin import modes
 from models.plant.plant import NOMINAL, read_plant
 from models.shared.output_paths import check_output_directory, check_output_file
@@ -117,6 +119,18 @@ def test_the_result_of_a_fit_does_not_replace_an_input(directory, capsys, replac
     assert path.read_bytes() == before
     with pytest.raises(FitStarted):  # only the plant that the fit starts from may be replaced
         identify(directory, directory / "p.json", directory / "p.json")
+
+
+def test_equal_results_give_equal_files(directory, monkeypatch):
+    def fit(plant, trials, *_, **__):
+        return Identification(plant, (), evaluate_plant(plant, trials), trials)
+
+    monkeypatch.setattr("models.commands.identify.identify", fit)
+    for name in ("a.json", "b.json"):
+        assert identify(directory, NOMINAL, directory / name) == 0
+    for suffix in (".json", ".svg"):
+        first, second = ((directory / f"{name}{suffix}").read_bytes() for name in "ab")
+        assert first == second
 
 
 # --- linearise ------------------------------------------------------------------------------------

@@ -63,7 +63,7 @@ def test_the_plant_of_the_file_is_near_before_any_fit(trial, link_file):
 def test_a_plant_of_another_mounting_is_refused(trial, link_file):
     upright = with_conditions(trial, gravity_m_s2=None)
     refuse_other_links(read_plant(link_file), link_file, (trial,))
-    with pytest.raises(InputError, match=r"gravity is \[0, 0, -9.81\]"):
+    with pytest.raises(InputError, match=r"gravity_m_s2 is \[0, 0, -9.81\]"):
         refuse_other_links(read_plant(link_file), link_file, (upright,))
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.console import BAD_INPUT, DONE
+from models.rig.overview import draw_overview
 from models.rig.parameters import RIG_TOML, named_structures
 from models.rig.protocol import run_case
 from models.shared.kinematics import rigid_tip_m
@@ -59,7 +60,9 @@ def test_trials_meet_the_contract(written, rigid_markers):
         assert np.max(np.abs(trial.markers_m[rest] - trial.markers_m[rest].mean(axis=0))) < 1.2e-3
         assert not np.any(trial.goal_rad[: trial.meta.rest_samples + 1])
         assert np.max(np.abs(trial.angle_rad[rest])) < 2e-3
-    assert (written / "overview.svg").read_text().startswith("<?xml")
+    overview = (written / "overview.svg").read_bytes()
+    assert overview.startswith(b"<?xml")
+    assert draw_overview(written).read_bytes() == overview
     record = json.loads((written / "rig_conditions.json").read_text())
     assert set(record["trials"]) == {t.name for t in trials}
 

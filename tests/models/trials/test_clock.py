@@ -100,6 +100,19 @@ def test_a_motion_without_rest_is_refused_unless_an_offset_is_near(mocap, tmp_pa
         assert clock.offset_s == pytest.approx(OFFSET_S + 4 * period, abs=1e-3)
 
 
+def test_a_log_whose_gaps_hide_the_motion_capture_is_refused(mocap, tmp_path):
+    """The log comes in bursts of four samples every 20 ms, the frames at 50 Hz between them."""
+    log, frames = servo(tmp_path, late_s=0.0), mocap()
+    burst_s = (np.arange(0, 11, 0.02)[:, None] + 1e-3 * np.arange(4)).ravel()
+    angle_rad = both_joints(burst_s).T
+    log = [Series(burst_s, dict(zip(log[0].columns, angle_rad, strict=True)), tmp_path / "log")]
+    frame_s = np.arange(0.0115, 10.9, 0.02)
+    columns = {n: np.interp(frame_s, frames[0].time_s, v) for n, v in frames[0].columns.items()}
+    frames = [Series(frame_s, columns, tmp_path / "mocap.csv")]
+    with pytest.raises(InputError, match=r"log: .*gaps"):
+        synchronise(log, frames, META)
+
+
 # --- the interval, also where the bend lags -------------------------------------------------------
 
 

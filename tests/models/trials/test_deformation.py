@@ -1,4 +1,4 @@
-"""Deformation Index: zero for rigid motions, the mean change of the visible lengths otherwise."""
+"""Deformation Index: zero for rigid motions, the mean change of the lengths otherwise."""
 
 import numpy as np
 import pytest
@@ -70,11 +70,28 @@ def test_much_occlusion_is_warned_of_and_a_little_is_not(make_trial, swing_rad):
         deformation_index(trial)
 
 
-def test_a_length_that_is_not_visible_at_rest_has_no_reference(make_trial, swing_rad):
-    trial = occlude(make_trial(swing_rad), slice(0, 3), 13)
-    with pytest.raises(InputError, match=r"length 13 of 16 is occluded in all 3 rest"):
+def test_occlusion_does_not_shift_the_index(make_trial, swing_rad):
+    """The first segment strains most, and the others are hidden twice as often."""
+
+    def sheared():
+        trial = make_trial(swing_rad)
+        for marker in range(1, 17):
+            trial.columns[f"m{marker:02d}_x_m"][3:] += 0.05
+        return trial
+
+    whole = deformation_index(sheared())
+    assert whole[20] > 1e-3
+    occluded = deformation_index(occlude(sheared(), slice(20, 25), 1, 6, 11, 16))
+    assert occluded == pytest.approx(whole, rel=0.1)
+    assert np.isnan(deformation_index(occlude(sheared(), slice(30, 31), 1, 2, 3, 4))[30])
+
+
+def test_a_segment_that_is_not_visible_at_rest_has_no_reference(make_trial, swing_rad):
+    trial = occlude(make_trial(swing_rad), slice(0, 3), 13, 14, 15, 16)
+    with pytest.raises(InputError, match=r"row 4 of 4 are occluded in all 3 rest"):
         deformation_index(trial)
-    trial = occlude(make_trial(swing_rad), slice(0, 2), 13)  # one rest row is enough
-    assert deformation_index(trial) == pytest.approx(0, abs=1e-14)
+    for occluded in ((slice(0, 2), 13, 14, 15, 16), (slice(0, 3), 13)):  # one length is enough
+        trial = occlude(make_trial(swing_rad), *occluded)
+        assert deformation_index(trial)[2:] == pytest.approx(0, abs=1e-14)
     with pytest.raises(InputError, match="rest_samples is 0"):
         deformation_index(make_trial(swing_rad, rest_samples=0))

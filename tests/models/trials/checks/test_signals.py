@@ -9,6 +9,7 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
+from firmware_py.link.marker_layout import square_layout
 from models.plant.plant import read_plant
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
@@ -185,6 +186,19 @@ def test_trials_of_several_pressures_are_named(pressure_pa, count):
     trials = (swung(number=1), with_conditions(swung(number=2), pressure_pa=pressure_pa))
     found = shared(*trials, causes=("pressure",))
     assert ["20700 to 41300 Pa" in f.text for f in found] == [True] * count
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [({"link_length_m": 0.9501}, []), ({"gravity_m_s2": (0.0, 0.0, -9.80665)}, []),
+     ({"link_length_m": 0.9}, ["link_length_m"]),
+     ({"gravity_m_s2": (-9.81, 0.0, 0.0)}, ["gravity_m_s2"]),
+     ({"markers": square_layout(0.95, 0.15, rows=3)}, ["markers"])],
+)  # fmt: skip
+def test_trials_of_two_links_are_named_and_a_tape_makes_no_second_link(change, named):
+    first = with_conditions(swung(), link_length_m=0.95)
+    differing = shared(first, with_conditions(first, **change), causes=("size",))
+    assert [f.text.split()[0] for f in differing] == named
 
 
 def test_joints_that_move_together_matter_to_a_predictor_only():

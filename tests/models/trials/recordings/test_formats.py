@@ -12,6 +12,7 @@ from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
 from models.plant.plant import read_plant
 from models.trials.files import read_trial, write_trial
+from models.trials.importing import import_recordings
 from models.trials.recordings.mapping import RecordingMap, read_mapping
 from models.trials.recordings.table import json_values, read_table
 from tests.models.trials.recordings.written_takes import motive_export, write_c3d
@@ -261,6 +262,10 @@ def test_a_nested_log_becomes_a_trial_with_the_names_of_its_plant(import_press, 
     np.testing.assert_allclose(trial.columns["position_1_m"], 1e-3 * place_mm)
     np.testing.assert_allclose(trial.columns["force_1_n"], 1e3 * force_kn)
     assert trial.meta.conditions == {"mass_kg": 0.25} and trial.meta.motion == "3"
+    (take,) = import_recordings(
+        tmp_path / "log.json", "table", tmp_path, mapping=tmp_path / "map.toml"
+    )
+    assert take.trial().sha256() == trial.sha256()
 
 
 def test_columns_of_different_length_are_refused(import_press, capsys):

@@ -135,6 +135,14 @@ def test_two_takes_of_one_name_are_refused(tmp_path, other):
         find_takes(files, "table", RecordingMap())
 
 
+def test_a_folder_holds_tables_and_marker_exports(tmp_path):
+    names = ["a.csv", "b.tsv", "c.TRC", "d.json", "e.mat"]
+    for name in [*names, "notes.txt"]:
+        (tmp_path / name).write_text("x")
+    takes = find_takes([tmp_path], "table", RecordingMap())
+    assert [take.file.name for take in takes] == names
+
+
 def test_a_take_that_is_named_twice_and_a_folder_without_takes_are_refused(tmp_path):
     (tmp_path / "run.csv").write_text("x")
     with pytest.raises(InputError, match="name each recording once"):
