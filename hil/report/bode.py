@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from firmware_py.core.units import ANGLE
 from models.shared.drawing import Drawing, Line, log_axis, plot_lines
 from models.shared.pages import Panel
-from models.shared.palette import MUTED
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -24,13 +23,11 @@ def bode_panels(
     about: str,
     gain_label: str | None = None,
     marks: Sequence[tuple[float, str]] = (),
-    limits: tuple[float, float] | None = None,
 ) -> list[Panel]:
     """Gain and phase of `curves` (response, colour), `about` says of what.
 
     The gain is in dB unless it has a unit, which `gain_label` names. `marks` are frequencies in Hz
-    with their colour, drawn as vertical lines; `limits` a gain in dB and a phase in degrees, drawn
-    as horizontal ones.
+    with their colour, drawn as vertical lines.
     """
     gains = [np.abs(response) for response, _ in curves]
     phases = [ANGLE.shown(np.unwrap(np.angle(response))) for response, _ in curves]
@@ -43,8 +40,6 @@ def bode_panels(
         with Drawing() as (drawing, ax):
             for mark_hz, colour in marks:
                 ax.axvline(mark_hz, color=colour, linestyle=":", linewidth=1)
-            if limits is not None:
-                ax.axhline(limits[title == "Phase"], color=MUTED, linewidth=0.8)
             lines = zip(values, curves, strict=True)
             plot_lines(ax, [Line(frequency_hz, y, colour, width=1.2) for y, (_, colour) in lines])
             log_axis(ax, frequency_hz, "x")
