@@ -307,14 +307,12 @@ experiment-demo: build/plant.json
 # --- tip demo ------------------------------------------------------------------------------------
 
 # Each plan is run on the rig behind the emulated servos: with rigid kinematics, with a known payload,
-# and with an estimated one in the second of two runs. In one run the payload is 1.3 kg heavier than
-# the robot assumes.
+# and with an estimated one in the second of two runs.
 PLANS := build/plans
 TIP_PAYLOADS := 0.7 1.8
 TIP_PATH_1 := line --size 0.45 --seconds 4.352 --turns 2
 TIP_PATH_2 := circle --size 0.45 --seconds 6
-TIP_ASSUMED_KG := 0.5
-PLAN_RUNS := $(PLANS)/2dof_misled_$(TIP_ASSUMED_KG)/timing.json $(foreach dof,1 2,$(foreach kind,rigid known unknown,$(foreach kg,$(TIP_PAYLOADS),$(PLANS)/$(dof)dof_$(kind)_$(kg)/timing.json)))
+PLAN_RUNS := $(foreach dof,1 2,$(foreach kind,rigid known unknown,$(foreach kg,$(TIP_PAYLOADS),$(PLANS)/$(dof)dof_$(kind)_$(kg)/timing.json)))
 
 tip-demo: | $(READY)
 	@$(MAKE) --no-print-directory --jobs 2 $(PLANS)/plans.html
@@ -342,11 +340,8 @@ $(PLANS)/1dof_unknown_%/timing.json: $(PLANS)/inverse_1dof.json
 $(PLANS)/2dof_unknown_%/timing.json: $(PLANS)/inverse_2dof.json
 	$(call plan_on_rig,2,--runs 2)
 
-$(PLANS)/2dof_misled_%/timing.json: $(PLANS)/inverse_2dof.json
-	$(call plan_on_rig,2,--payload-known --hide unmodelled_payload=1.3)
-
 $(PLANS)/plans.html: $(PLAN_RUNS)
-	$(call run,dropstitch report plans $(@D) --plant build/plant.json --out $@)
+	$(call run,dropstitch report plans $(@D) --out $@)
 
 # --- link demo -----------------------------------------------------------------------------------
 

@@ -33,18 +33,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     hidden = parse_strengths(args.hide)
-    from hil.report.gap_page import before_after_page  # loads CasADi
-    from hil.report.gap_results import before_after, describe_before_after, read_gap
+    from hil.report import gap_page  # loads CasADi
     from models.shared.pages import write_page
 
-    inputs = read_gap(args.directory, args.plant)
-    progress = Progress("report gap", 2)
-    progress.begin("comparing FMUs with plants")
-    data = before_after(inputs, hidden)
-    progress.step("drawing")
+    inputs = gap_page.read_gap(args.directory, args.plant)
+    progress = Progress("report gap", 1)
+    progress.begin("drawing")
+    figures = gap_page.gap_figures(inputs, hidden)
     out = args.out or args.directory / "report.html"
-    write_page(out, before_after_page(inputs, data))
+    write_page(out, gap_page.closed_gap_page(inputs, figures))
     progress.step(str(out))
-    figures = {**msgspec.to_builtins(data), "report": str(out)}
-    emit(args, figures, f"{describe_before_after(data)}\n{out}")
+    output = {**msgspec.to_builtins(figures), "report": str(out)}
+    emit(args, output, f"{gap_page.describe_gap(figures)}\n{out}")
     return DONE

@@ -8,7 +8,6 @@
     commands.log                                make demo, make study
     NAME/timing.json, ticks.mcap, trial/        dropstitch sil
     NAME/faults.json                            make faults
-    NAME/predictors.json                        dropstitch train --compare
     NAME/study.json                             dropstitch train --study, or --study-only
 """
 
@@ -35,7 +34,6 @@ from hil.faults.faults_document import FaultsDocument, read_faults
 from hil.sil.timing_document import TimingDocument, read_timing
 from models.plant.document import Evaluation
 from models.plant.plant import Plant, read_plant
-from models.predictor.document import PredictorsDocument, read_predictors
 from models.shared.kinematics import rigid_tip_m
 from models.study.document import StudyDocument, read_study
 from models.trials.files import read_trial
@@ -141,8 +139,6 @@ class BuildInputs:
     evaluations: dict[str, Evaluation]  # Evaluations of the plant, by name of the trials
     checks: dict[str, FmuCheckOutput]  # Checks by name of the FMU
     faults: FaultsDocument | None
-    # Comparison of the candidates for the robot's predictor, by dof
-    predictors: dict[int, PredictorsDocument]
     studies: dict[str, StudyDocument]  # Studies by `study_label`, those of bundles first
     commands: list[str]  # Commands that wrote the directories
     left_out: list[str]  # Files that the report omits, with the reason
@@ -174,7 +170,6 @@ def read_build(*directories: Path) -> BuildInputs:
     alike = Counter(loop.title for loop in loops)
     loops = [replace(loop, named=alike[loop.title] > 1) for loop in loops]
     campaigns = _files(directories, "*/faults.json")
-    candidates = [read_predictors(path) for path in _files(directories, "*/predictors.json")]
     studies, left_out = _studies(directories)
     return BuildInputs(
         loops=sorted(loops, key=lambda loop: not loop.in_real_time),
@@ -185,7 +180,6 @@ def read_build(*directories: Path) -> BuildInputs:
             for path in _files(directories, "check_*.json")
         },
         faults=read_faults(campaigns[0]) if campaigns else None,
-        predictors={document.dof: document for document in candidates},
         studies=studies,
         commands=read_commands(*_files(directories, "commands.log")),
         left_out=left_out,

@@ -13,6 +13,7 @@ from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, TICK_TIME, TIME
 from firmware_py.system.timing import LABELS
 from hil.report.arm import LEGEND, arm_motion, arm_panel
 from hil.report.build_inputs import LoopRun
+from hil.sil.sil_results import draw_ends
 from hil.sil.timing_document import TimingDocument
 from hil.sil.timing_verdict import PREEMPTED_NS
 from hil.verdict import Verdict
@@ -273,16 +274,8 @@ def timing_figure(loop: LoopRun) -> Figure:
 
 
 def _histogram(end_ms: Array, own_ms: Array, deadline_ms: float) -> Panel:
-    least_ms = max(float(np.min(own_ms)), 1e-3)
-    most_ms = 1.2 * max(deadline_ms, float(np.max(end_ms)))
-    edges = np.geomspace(least_ms, most_ms, 60).tolist()
     with Drawing() as (drawing, ax):
-        ax.hist(own_ms, edges, color=OWN, alpha=0.7)
-        ax.hist(end_ms, edges, color=WHOLE, alpha=0.7)
-        ax.axvline(deadline_ms, color=ALARM, linestyle="--", linewidth=1)
-        log_axis(ax, [least_ms, most_ms], "x")
-        log_axis(ax, [1.0, len(end_ms)])
-        ax.set(xlabel=TICK_TIME.label("time"), ylabel="ticks")
+        draw_ends(ax, end_ms, own_ms, deadline_ms, TICK_TIME)
     return drawing.panel(
         "Latency histogram",
         f"Ends of {len(end_ms)} ticks: {np.median(end_ms):.2f} ms in the median and "

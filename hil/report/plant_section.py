@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import (
@@ -19,23 +21,27 @@ from firmware_py.core.units import (
     symbol_of,
 )
 from firmware_py.link.link_description import STUDY_LINK
-from hil.report.bode import bode_panels
 from hil.report.build_inputs import FmuCheckOutput
 from models.plant.document import Evaluation, SignalError, TipError
 from models.plant.linear_twin import LinearTwins, modes, tip_part
 from models.plant.plant import Plant
+from models.shared.drawing import Drawing, Line, log_axis, plot_lines
 from models.shared.pages import (
     NO_VALUE,
     Cell,
     Figure,
     Folded,
     LegendEntry,
+    Panel,
     Part,
     Table,
     TableCell,
     value_text,
 )
 from models.shared.palette import ordered_colours
+
+Array = NDArray[np.float64]
+Response = NDArray[np.complex128]
 
 LEAST_SHARE: Final = 0.05
 """Least share of the link's bend of a mode that is shown [assumed]."""
@@ -79,13 +85,45 @@ def linear_parts(plant: Plant) -> list[Part]:
         "Bode plot of the twin",
         "From the goal of joint 1 to tip x, linearised about rest at angle zero with the joint in "
         "motion; dotted: modes in which the link bends.",
-        bode_panels(
-            frequency_hz, curves, "of tip x per goal, by payload", "tip x, mm per degree", marks
-        ),
+        _bode_panels(frequency_hz, curves, marks),
         legend=legend,
     )
     header = ["payload", "frequency in Hz", "damping ratio in %", "share of the link's bend in %"]
     return [figure, Table("Modes", header, rows)] if rows else [figure]
+
+
+def _bode_panels(
+    frequency_hz: Array, curves: Sequence[tuple[Response, str]], marks: Sequence[tuple[float, str]]
+) -> list[Panel]:
+    """Gain and phase of each response in its colour; marked frequencies are vertical lines."""
+    gains = [np.abs(response) for response, _ in curves]
+    phases = [ANGLE.shown(np.unwrap(np.angle(response))) for response, _ in curves]
+    panels = []
+    for title, values, ylabel in (
+        ("Gain", gains, "tip x, mm per degree"), ("Phase", phases, ANGLE.label("phase")),
+    ):  # fmt: skip
+        with Drawing() as (drawing, ax):
+            for mark_hz, colour in marks:
+                ax.axvline(mark_hz, color=colour, linestyle=":", linewidth=1)
+            lines = zip(values, curves, strict=True)
+            plot_lines(ax, [Line(frequency_hz, y, colour, width=1.2) for y, (_, colour) in lines])
+            log_axis(ax, frequency_hz, "x")
+            ax.set(xlabel="frequency in Hz", ylabel=ylabel)
+            if title == "Gain":
+                log_axis(ax, np.concatenate(values))
+            else:
+                _degrees(ax)
+        alt = f"{title} of tip x per goal, by payload over frequency."
+        panels.append(drawing.panel(title, alt))
+    return panels
+
+
+def _degrees(ax: Any) -> None:
+    """Ticks of a phase at multiples of 45°, or of 90° if it turns far."""
+    low, high = ax.get_ylim()
+    step = 45 if high - low < 300 else 90 if high - low < 700 else 180
+    ax.set_yticks(np.arange(step * math.floor(low / step), high + step, step))
+    ax.set_ylim(low, high)
 
 
 def _evaluation_tables(evaluations: Mapping[str, Evaluation]) -> list[Part]:

@@ -16,20 +16,14 @@ from numpy.typing import NDArray
 from firmware_py.core.units import (
     ANGLE,
     DEFORMATION,
-    DELAY,
-    FILE_SIZE,
-    FRACTION,
     LENGTH,
     PAYLOAD,
     TIME,
     DisplayUnit,
 )
 from hil.report.build_inputs import ALL_PHASES, BuildInputs, motion_words
-from models.predictor.document import PredictorsDocument, latency_text, scores_of
-from models.predictor.validation import COVERS, coverage_text
 from models.shared.drawing import Chart, Line, line_panels
 from models.shared.pages import (
-    NO_VALUE,
     Cell,
     Figure,
     Folded,
@@ -50,8 +44,6 @@ Studies = Mapping[str, StudyDocument]
 PLANES: Final = {"x–z plane": ("x", "z"), "from above": ("x", "y")}
 """Axes of each view of the tip."""
 TEST: Final = "trial_2"
-DI_GAIN_DEGREE: Final = "3"
-"""Degree of the polynomials at which the gain by the observer's DI is shown."""
 BY_DEGREE: Final = "Mean Euclidean distance in mm on trial 2 by degree"
 Look = tuple[str, str, str]
 """Label, colour and dash of a line."""
@@ -86,10 +78,9 @@ VERDICTS: Final = {True: "as published", False: "differs", None: "undecided"}
 def study_parts(inputs: BuildInputs) -> list[Part]:
     """Predictors and estimators, motion and errors, and the paper for the paper's link."""
     studies, robot = inputs.studies, inputs.robot_studies
-    tables = [candidate_table(inputs.predictors)] if inputs.predictors else []
     if not studies:
-        return [*tables]
-    parts: list[Part] = [
+        return []
+    return [
         Paragraph(
             "On the robot DI is not measured. The plant observer estimates it from angle and "
             "current. It is compared with a lagged regressor and with no DI, on trial 2 and on a "
@@ -99,11 +90,13 @@ def study_parts(inputs: BuildInputs) -> list[Part]:
         di_estimates(robot),
         *motion_figures(_of_one_motion(studies)),
         *error_figures(studies),
-        Folded("Predictors and estimators", [predictor_table(studies), di_estimator_table(robot)]),
+        Paragraph(
+            "The model card (MODEL_CARD.md) of each bundle has the numbers: errors of the "
+            "predictors by degree, estimators of DI, and candidates for the robot's predictor.",
+            "note",
+        ),
+        *comparison_with_paper(studies),
     ]
-    if tables:
-        parts.append(Folded("Candidates for the robot's predictor", tables))
-    return parts + comparison_with_paper(studies)
 
 
 def study_origins(study: StudyDocument) -> tuple[TrialOrigin, ...]:
@@ -370,86 +363,3 @@ def _by_payload(study: StudyDocument, test: str) -> dict[str, dict[str, float]]:
         "true": {part: variants["with_di"][degree] for part, variants in table.items()},
         "observer": study.baselines[test].observer_tip,
     }
-
-
-def predictor_table(studies: Studies) -> Table:
-    """Return the mean distance over payloads at the chosen degree, also by phase if they differ."""
-    rows = []
-    for name, study in studies.items():
-        for test, deployed in study.deployed.items():
-            distances = _by_payload(study, test)
-            for part, covered in deployed.interval_coverage_by_part.items():
-                if part != "pooled" and not part.startswith("phase_"):
-                    continue
-                phase = f", phase {part[6:-3]}° of it" if part != "pooled" else ""
-                rows.append(
-                    [
-                        f"{name}, {motion_words(test)}{phase}", str(study.chosen_degree),
-                        *(LENGTH.number(by_part[part]) for by_part in distances.values()),
-                        FRACTION.text(covered, 1),
-                    ]
-                )  # fmt: skip
-    return Table(
-        f"Mean Euclidean distance in {LENGTH.name}, all payloads",
-        ["", "degree", "rigid link", "without DI", "estimated DI", "true DI", "observer's tip",
-         "interval covers"],
-        rows,
-        "The interval is the predictor's 95\u00a0% prediction interval; what it covers is the mean "
-        "over the axes that move. It is calibrated on payloads left out of training, so its "
-        "coverage of the training payloads is higher.",
-    )  # fmt: skip
-
-
-def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
-    """Return the accuracy of the three estimators of DI on every test."""
-    rows = []
-    for dof, study in studies.items():
-        for test, by_source in study.estimators.items():
-            for source, scores in by_source.items():
-                gain = scores.benefit_recovered[DI_GAIN_DEGREE]
-                rows.append(
-                    [
-                        f"{dof}DOF, {motion_words(test)}", source,
-                        f"{scores.r2_di:.2f}".replace("-", "−"),
-                        DEFORMATION.number(scores.rms_error_di, 3),
-                        LENGTH.number(scores.mean_euclidean_distance_m[DI_GAIN_DEGREE]),
-                        NO_VALUE if gain is None else FRACTION.text(gain).replace("-", "−"),
-                    ]
-                )  # fmt: skip
-    return Table(
-        "Estimators of DI",
-        ["", "estimator", "R² of DI", f"RMS error of DI, {DEFORMATION.name}",
-         f"distance at degree {DI_GAIN_DEGREE}, {LENGTH.name}", "gain recovered"],
-        rows,
-        "Gain: reduction of the mean Euclidean distance by true DI, compared with no DI. Each "
-        "predictor was trained on the DI of its own estimator, on trial 1.",
-    )  # fmt: skip
-
-
-def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
-    """Return errors, coverage and size of every candidate, on held-out rows and on every test."""
-    rows, notes = [], []
-    for dof, document in documents.items():
-        for name, entry in document.candidates.items():
-            chosen = ", chosen" if name == document.chosen else ""
-            for test, score in scores_of(entry):
-                rows.append(
-                    [
-                        f"{dof}DOF, {name}{chosen}", motion_words(test),
-                        *map(LENGTH.number, (score.mean_m, score.p95_m, score.max_m)),
-                        coverage_text(score.coverage, score.coverage_least),
-                        FRACTION.text(score.in_range),
-                        LENGTH.number(score.max_in_range_m), latency_text(entry.latency),
-                        FILE_SIZE.text(entry.graph_bytes),
-                    ]
-                )  # fmt: skip
-        notes.append(f"{dof}DOF: {document.reason}.")
-        if document.runtimes:
-            costs = ", ".join(f"{r} {latency_text(v)}" for r, v in document.runtimes.items())
-            notes.append(f"Observer and predictor together, warm / cold in {DELAY.name}: {costs}.")
-    return Table(
-        f"Candidates for the robot's predictor, Euclidean distance in {LENGTH.name}",
-        ["", "test", "mean", "95th percentile", "maximum", COVERS, "in range",
-         "maximum in range", f"warm / cold in {DELAY.name}", "graph"],
-        rows, " ".join(notes),
-    )  # fmt: skip

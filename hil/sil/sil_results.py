@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.core.signals import joint_signals, marker_signals, tip_names
-from firmware_py.core.units import LENGTH, POSITION, TIME
+from firmware_py.core.units import LENGTH, POSITION, TIME, DisplayUnit
 from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.log.recording import OUTSIDE
@@ -32,7 +32,7 @@ from hil.sil.timing_document import (
     TimingDocument,
     write_timing,
 )
-from hil.sil.timing_verdict import TimingVerdict, judge_timing, timing_junit
+from hil.sil.timing_verdict import judge_timing, timing_junit
 from hil.sil.tip_errors import (
     move_figures,
     path_errors,
@@ -42,7 +42,7 @@ from hil.sil.tip_errors import (
     true_tip_m,
 )
 from models.predictor.validation import coverage_text
-from models.shared.palette import ALARM, MUTED, SERIES
+from models.shared.palette import ALARM, BLUE, MUTED, ORANGE
 from models.trials.files import write_trial
 from models.trials.trial import Trial, TrialMeta, rows_at_rest
 
@@ -268,12 +268,18 @@ def _plot(result: SilResult) -> Figure:
 
     from models.shared.drawing import FILE_STYLE
 
+    records, timing = result.records, result.timing
     with pyplot.rc_context(FILE_STYLE | {"font.size": 8}):
         figure: Figure = pyplot.figure(figsize=(8, 5), layout="constrained")
         error, ends = figure.subplots(2)
         _draw_error(error, result)
-        _draw_ends(ends, result.records, result.timing)
-        figure.suptitle(f"{result.timing.verdict}: {result.timing.reason}")
+        end_s = 1e-9 * (records["lateness_ns"] + records["busy_ns"])
+        own_s = 1e-9 * (records["busy_ns"] - records["bus_wait_ns"])
+        draw_ends(ends, end_s, own_s, 1e-9 * timing.targets.period_ns, TIME)
+        if timing.host.preempted_ticks:
+            ends.plot([], [], " ", label=f"the host preempted {timing.host.preempted_ticks} ticks")
+        ends.legend(loc="upper center")
+        figure.suptitle(f"{timing.verdict}: {timing.reason}")
         pyplot.close(figure)
     return figure
 
@@ -287,26 +293,27 @@ def _draw_error(axes: Axes, result: SilResult) -> None:
         axes.text(0.5, 0.5, "no true tip to compare with", ha="center")
         return
     distance_m = np.linalg.norm(off_m, axis=1)
-    axes.plot(records["time_s"], distance_m, color=SERIES[0], label="predicted − true tip")
+    axes.plot(records["time_s"], distance_m, color=BLUE, label="predicted − true tip")
     axes.axhline(float(np.nanmean(distance_m)), color=MUTED, ls="--", label="mean")
     axes.set(xlabel=TIME.label("time"), ylabel=POSITION.label("distance"), ylim=(0, None))
     axes.legend(ncols=2)
 
 
-def _draw_ends(axes: Axes, records: NDArray[np.void], timing: TimingVerdict) -> None:
-    """Histogram of the ends of the ticks in their slots, with the deadline in it."""
-    end_s = 1e-9 * (records["lateness_ns"] + records["busy_ns"])
-    own_s = 1e-9 * (records["busy_ns"] - records["bus_wait_ns"])
-    deadline_s = 1e-9 * timing.targets.period_ns
-    least_s = max(float(np.min(own_s)), 1e-6)
-    edges = np.geomspace(least_s, 1.2 * max(deadline_s, float(np.max(end_s))), 80).tolist()
-    axes.hist(own_s, edges, color=SERIES[1], alpha=0.7, label="own cost of a tick")
-    axes.hist(end_s, edges, color=SERIES[0], alpha=0.7, label="end of a tick in its slot")
-    axes.axvline(deadline_s, color=ALARM, ls="--", label="deadline")
-    if timing.host.preempted_ticks:
-        axes.plot([], [], " ", label=f"the host preempted {timing.host.preempted_ticks} ticks")
-    axes.set(xlabel=TIME.label("time"), ylabel="ticks", xscale="log", yscale="log")
-    axes.legend(loc="upper center")
+def draw_ends(
+    axes: Axes, end: NDArray[Any], own: NDArray[Any], deadline: float, unit: DisplayUnit
+) -> None:
+    """Histograms of the ends of the ticks in their slots and of their own cost, all in `unit`."""
+    from models.shared.drawing import log_axis
+
+    least = max(float(np.min(own)), 1e-4 * deadline)
+    most = 1.2 * max(deadline, float(np.max(end)))
+    edges = np.geomspace(least, most, 60).tolist()
+    axes.hist(own, edges, color=ORANGE, alpha=0.7, label="own cost of a tick")
+    axes.hist(end, edges, color=BLUE, alpha=0.7, label="end of a tick in its slot")
+    axes.axvline(deadline, color=ALARM, linestyle="--", linewidth=1, label="deadline")
+    log_axis(axes, [least, most], "x")
+    log_axis(axes, [1.0, len(end)])
+    axes.set(xlabel=unit.label("time"), ylabel="ticks")
 
 
 def timing_in_words(timing: TimingDocument) -> str:

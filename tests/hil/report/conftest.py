@@ -12,7 +12,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.goals.tip_plan import FeedbackDesign, LoopMargins, PayloadPlan, RateFilter, TipPlan
+from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_facts import STUDY_FACTS
 from fmu.fmu_checker import check_fmu
@@ -212,7 +212,7 @@ ROWS = 60
 PATH = tuple(np.sin(np.linspace(0.0, 2.0 * np.pi, ROWS)).tolist())
 
 
-def plan_of(dof, feedback=None):
+def plan_of(dof):
     columns = (PATH,) * dof
     payload = PayloadPlan(
         payload_kg=1.0, goals_rad=columns, tip_m=columns, current_a=columns, residual_rms_m=0.0,
@@ -222,18 +222,15 @@ def plan_of(dof, feedback=None):
         schema=1, path="circle", method="inverse", dof=dof, period_s=0.017, rest_s=0.017,
         start_row=5, end_row=50, drawn=((5, 50),), desired_m=columns, payloads=(payload,),
         payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
-        link=STUDY_FACTS, feedback=feedback,
+        link=STUDY_FACTS,
     )  # fmt: skip
 
 
-def run_of(dof, knowledge, payload_kg, error_m, plan=None, trust=0):
+def run_of(dof, knowledge, payload_kg, error_m):
     """Run of a plan whose tip is everywhere `error_m` off its path."""
-    plan = plan or plan_of(dof)
+    plan = plan_of(dof)
     tip_m = plan.desired_tip_m() + error_m / np.sqrt(dof)
-    goals_rad, trust = plan.goals_rad()[0], np.zeros(ROWS, int) + trust
-    return PlannedRun(
-        dof, knowledge, payload_kg, plan, tip_m, error_m, error_m, goals_rad, trust, 1.3
-    )
+    return PlannedRun(dof, knowledge, payload_kg, plan, tip_m, error_m, error_m)
 
 
 @pytest.fixture(scope="session")
@@ -248,20 +245,8 @@ def runs():
 
 
 @pytest.fixture(scope="session")
-def guided():
-    """Runs with feedback, whose trust is lost for half of the time."""
-    rate = RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((1.0,),))
-    margins = ((LoopMargins(payload_kg=1.0, gain_db=6.4, phase_rad=0.7, crossover_rad_s=2.0),),)
-    design = FeedbackDesign(
-        filters=((rate,),), margins=margins, size_rad=0.03, rate_rad_s=0.16, innovation_a=0.25
-    )
-    plan, trust = plan_of(1, design), np.repeat([1, 2, 3, 1], ROWS // 4)
-    return [run_of(1, kind, 1.0, 0.01, plan, trust) for kind in ("known", "misled")]
-
-
-@pytest.fixture(scope="session")
-def plans_html(runs, guided, tmp_path_factory):
-    """Path of the page of plans, with feedback."""
+def plans_html(runs, tmp_path_factory):
+    """Path of the page of plans."""
     path = tmp_path_factory.mktemp("plans") / "plans.html"
-    write_page(path, plans_page([*runs[6:], *guided], read_plant()))
+    write_page(path, plans_page(runs))
     return path

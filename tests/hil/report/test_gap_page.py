@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 from dropstitch.__main__ import main
-from hil.report.gap_results import before_after, fraction_removed, read_gap
+from hil.report.gap_page import fraction_removed, gap_figures, read_gap
 from models.plant.plant import NOMINAL
 
 pytestmark = pytest.mark.slow
@@ -29,22 +29,14 @@ def edited(path, change):
 
 
 def test_fmu_and_diagnosis_are_judged_by_the_files(gap_build):
-    data = before_after(read_gap(gap_build, NOMINAL), HIDDEN)
-    assert data.fmu.worst_difference < 1e-9
-    assert data.fmu.passed is True
+    figures = gap_figures(read_gap(gap_build, NOMINAL), HIDDEN)
     # The trials are the improved plant's own: nothing is left but that they are stored in a file.
-    assert data.fmu.tip_rms_m["before"] > 1e-3
-    assert data.fmu.tip_rms_m["after"] < 1e-6
-    row = data.hidden["stiffness_softening"]
-    assert row.found == pytest.approx(0.19)
-    assert row.said == "stiffness softening: 20\u00a0% hidden, 19 ± 1 % estimated"
-
-
-def test_an_fmu_of_another_plant_is_detected(copy):
-    for before in copy.glob("fmpy_before_*/result.csv"):
-        shutil.copy(before, before.parent.parent / before.parent.name.replace("before", "after"))
-    fmu = before_after(read_gap(copy, NOMINAL), HIDDEN).fmu
-    assert fmu.worst_difference > 1e-3
+    error_m = figures.errors["fmu"].error_m
+    assert error_m["before"] > 1e-3
+    assert error_m["after"] < 1e-6
+    row = figures.hidden["stiffness_softening"]
+    assert row.estimate == pytest.approx(0.19)
+    assert row.text == "stiffness softening: 20\u00a0% hidden, 19 ± 1 % estimated"
 
 
 def test_names_are_compared_with_what_was_hidden(copy):
@@ -55,12 +47,12 @@ def test_names_are_compared_with_what_was_hidden(copy):
 
     edited(copy / "found" / "gap.json", change)
     inputs = read_gap(copy, NOMINAL)
-    strength = before_after(inputs, HIDDEN).hidden["stiffness_softening"].found
+    strength = gap_figures(inputs, HIDDEN).hidden["stiffness_softening"].estimate
     assert strength == pytest.approx(0.14), "a strength that was there before does not count"
-    alike = before_after(inputs, {"creep": 0.3})
-    assert "look-alike stiffness softening" in alike.hidden["creep"].said
-    joint = before_after(inputs, {"dead_time:2": 0.01})
-    assert joint.hidden["dead_time:2"].said == "dead time of joint 2 was hidden and not named"
+    alike = gap_figures(inputs, {"creep": 0.3})
+    assert "look-alike stiffness softening" in alike.hidden["creep"].text
+    joint = gap_figures(inputs, {"dead_time:2": 0.01})
+    assert joint.hidden["dead_time:2"].text == "dead time of joint 2 was hidden and not named"
     assert joint.also_named == ["stiffness_softening"]
 
 
@@ -78,7 +70,7 @@ def test_a_run_without_motion_has_no_figure_and_plans_have_theirs(copy, capsys):
 
     for timing in copy.glob("sil_after_*/timing.json"):
         edited(timing, stop)
-    errors_m = {"rigid": 0.05, "before": 0.01, "after": 0.002}
+    errors_m = {"rigid": 0.05, "before": 0.01, "after": 0.002, "without": 0.001}
     for variant, rms_m in errors_m.items():
         shutil.copytree(copy / "sil_before_2", copy / f"plan_{variant}")
         path_error = {"rms_m": rms_m, "max_m": 0.1, "path_rms_m": 0.1, "rows": 9}
@@ -89,11 +81,17 @@ def test_a_run_without_motion_has_no_figure_and_plans_have_theirs(copy, capsys):
     command = ["report", "gap", str(copy), "--plant", str(NOMINAL), "--hide", "creep=0.3"]
     assert main([*command, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["robot"]["tip_mean_m"]["after"] is None
-    assert data["robot"]["tip_mean_m"]["before"] > 0
-    assert data["path_rms_m"] == errors_m
+    assert data["verdict"] == "closed"
+    assert data["errors"]["robot"]["error_m"]["after"] is None
+    assert data["errors"]["robot"]["error_m"]["before"] > 0
+    path = data["errors"]["path"]
+    assert path["error_m"] == errors_m
+    assert path["fraction_removed"] == pytest.approx(8 / 9)
     page = (copy / "report.html").read_text(encoding="utf-8")
-    assert "The tip on its path" in page and "25.0" in page
+    assert "50.0\u00a0mm" in page and "89\u00a0%" in page
+    assert main(command) == 0
+    out = capsys.readouterr().out
+    assert "50.0\u00a0mm" in out and "89\u00a0%" in out, "page and console have the same figures"
     assert "Creep was hidden and not named" in page
     assert "http://" not in page.replace("http://www.w3.org", "")
 
