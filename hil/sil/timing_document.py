@@ -82,7 +82,8 @@ class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 class PredictionError(TipErrors, frozen=True, kw_only=True):
     """Distance between the predicted and the true tip over a run, and over its parts."""
 
-    # Errors of each part with fresh ticks: in_range, out_of_range, parts of the programme, stop
+    # Errors of each part that has fresh ticks: in_range, out_of_range, approach, the parts of the
+    # programme, stop
     parts: dict[str, TipErrors] = msgspec.field(default_factory=dict)
 
 
