@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -11,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from firmware_py.core.errors import InputError
-from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects
+from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects, load_once
 from hil.campaign.kinds.rig_kind import rig_file
 from hil.emulator.line_faults import LINE_FAULTS
 
@@ -134,13 +132,12 @@ KIND = CaseKind(
 )
 
 
-@functools.lru_cache(maxsize=64)
 def _twin_of(bundle: str, directory: Path) -> Path:
     from firmware_py.inference.bundle import read_manifest
     from hil.campaign.code_version import content_sha256
     from hil.emulator.physics import build_twin  # loads CasADi
 
-    dof, plant = read_manifest(Path(bundle)).dof, Path(bundle) / "plant.json"
+    dof, plant = load_once(read_manifest, Path(bundle)).dof, Path(bundle) / "plant.json"
     if not plant.is_file():
         raise InputError(plant, "is missing", "copy the whole bundle, or name a twin with fmu")
     place = directory / f"twin_{content_sha256(plant)[:16]}"
@@ -153,12 +150,6 @@ def _twin_of(bundle: str, directory: Path) -> Path:
     return path
 
 
-@functools.lru_cache(maxsize=8)
-def _cached(load: Callable[[Path], Any], path: Path) -> Any:
-    """Load a file once per worker, which has already checked the file's hash."""
-    return load(path)
-
-
 def _options(case: SilCaseOptions, out: Path) -> SilOptions:
     from firmware_py.bus.servo_models import model_named
     from firmware_py.goals.tip_plan import read_tip_plan
@@ -167,10 +158,10 @@ def _options(case: SilCaseOptions, out: Path) -> SilOptions:
     from hil.sil import SilOptions
     from hil.sil.sil_options import DERIVED, SHORTEST_DEFAULT_S
 
-    plan = _cached(read_tip_plan, Path(case.plan)) if case.plan else None
+    plan = load_once(read_tip_plan, Path(case.plan)) if case.plan else None
     rig = RigSource(case.effects, case.seed, case.rig, case.pressure_pa) if case.rig else None
     return SilOptions(
-        bundle=_cached(ModelBundle.load, Path(case.bundle)),
+        bundle=load_once(ModelBundle.load, Path(case.bundle)),
         model=model_named(case.model) if case.model else DERIVED,
         out=out,
         log=False,
