@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
-import multiprocessing
 import os
 import shutil
 import signal
@@ -37,6 +36,7 @@ from firmware_py.inference.bundle_signature import TrustConfig
 from firmware_py.log.recording import read_recording
 from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.system.kernel_counters import KernelCounters
+from hil.emulator.child_process import SPAWN, ChildProcess
 from hil.emulator.emulator import PRIORITY
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
 from hil.emulator.physics import FmuPhysics
@@ -48,7 +48,6 @@ from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observ
 from hil.faults.servo_log import LoggedBus, ServoLog
 from hil.sil.processors import assign_processors, pinned_to
 
-_SPAWN: Final = multiprocessing.get_context("spawn")
 SOCKET_SLOTS: Final = 150
 """Slots of the motion on a socket: 2.6 s. The fault begins before the 110th."""
 PROCESS_S: Final = 2.6
@@ -126,18 +125,12 @@ def _run_servos(pipe: Connection, exchange: Any, task: ServoProcessTask) -> None
     pipe.send(bus.log(time.monotonic_ns()))
 
 
-class ServoProcess:
+class ServoProcess(ChildProcess[ServoLog]):
     """Process that runs the servos of a case."""
 
     def __init__(self, task: ServoProcessTask) -> None:
-        self._pipe, child_end = _SPAWN.Pipe()
-        self._counter: Any = _SPAWN.RawValue("q", 0)
-        self._process = _SPAWN.Process(
-            target=_run_servos, args=(child_end, self._counter, task), daemon=True
-        )
-        self._process.start()
-        child_end.close()
-        self._pipe.recv()
+        self._counter: Any = SPAWN.RawValue("q", 0)
+        super().__init__("servos of the case", _run_servos, self._counter, task)
 
     @property
     def exchange(self) -> int:
@@ -146,22 +139,11 @@ class ServoProcess:
 
     def unplug(self) -> int:
         """Remove the port; return the time in ns."""
-        self._pipe.send("unplug")
-        return int(self._pipe.recv())
+        return int(self.ask("unplug"))
 
     def plug(self, port: Path) -> None:
         """Open the port again, under a name."""
-        self._pipe.send(port)
-
-    def stop(self) -> ServoLog:
-        self._pipe.send(None)
-        servo_log: ServoLog = self._pipe.recv()
-        return servo_log
-
-    def close(self) -> None:
-        """End the process if it is still running."""
-        self._pipe.close()
-        self._process.join()
+        self.tell(port)
 
 
 @contextlib.contextmanager
