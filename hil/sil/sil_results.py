@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import joint_signals, marker_signals, tip_names
-from firmware_py.core.units import LENGTH, POSITION, TIME
+from firmware_py.core.units import CPU_TIME, LENGTH, POSITION, TIME
 from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.log.recording import OUTSIDE
@@ -23,7 +23,7 @@ from firmware_py.summary import Ended, RangeReasons, RunSummary
 from hil.emulator.emulator import EmulatorOutcome
 from hil.sil.probe import ProbeRecord
 from hil.sil.sil_options import SilOptions
-from hil.sil.tick_budget import describe_budget, measure_budget, plan_times
+from hil.sil.tick_budget import plan_times, read_parts
 from hil.sil.timing_document import (
     MoveFigures,
     PathError,
@@ -31,6 +31,7 @@ from hil.sil.timing_document import (
     RunFacts,
     SilEnvironment,
     TimingDocument,
+    duration_table,
     write_timing,
 )
 from hil.sil.timing_verdict import TimingVerdict, judge_timing, timing_junit
@@ -174,7 +175,7 @@ def _timing_document(result: SilResult) -> TimingDocument:
         interrupted=_interrupted(result),
         miss_rate=1.0 if options.line == "virtual" else options.miss_rate,
     )
-    reference, bus_times = result.loop_cpu.jitter(), plan_times(result.bus_plan)
+    bus_times = plan_times(result.bus_plan)
     errors: tuple[PathError, ...] = ()
     moves: tuple[MoveFigures, ...] = ()
     payload_note = ""
@@ -200,9 +201,9 @@ def _timing_document(result: SilResult) -> TimingDocument:
             out_of_range=summary.out_of_range,
             out_of_range_reasons=result.out_of_range,
         ),
-        reference_jitter=reference,
+        reference_jitter=result.loop_cpu.jitter(),
         bus_plan=bus_times,
-        tick_budget=measure_budget(records, options.period_s, bus_times, reference),
+        read_parts=read_parts(records, bus_times),
         prediction_error=prediction_error(records, truth, options.programme_s),
         path_errors=errors,
         moves=moves,
@@ -366,10 +367,15 @@ def timing_in_words(timing: TimingDocument) -> str:
 
 def _timing_lines(timing: TimingDocument) -> list[str]:
     causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items())
+    table = duration_table(timing, CPU_TIME)
+    table[0][0] = f"in {CPU_TIME.name}"
     return [
         f"misses {timing.misses} ({causes}); the host preempted {timing.host.preempted_ticks} of "
         f"{timing.ticks} ticks",
-        *describe_budget(timing.tick_budget, timing.own_cost, timing.reference_jitter),
+        *(
+            f"{name:32} " + " ".join(f"{cell:>8}" for cell in cells) + f" {budget:>14}".rstrip()
+            for name, *cells, budget in table
+        ),
         *timing.environment.refused,
     ]
 
