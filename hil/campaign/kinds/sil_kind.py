@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
+from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.errors import InputError
 from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects, load_once
 from hil.campaign.kinds.rig_kind import rig_file
@@ -15,9 +16,6 @@ from hil.emulator.line_faults import LINE_FAULTS
 
 if TYPE_CHECKING:
     from hil.sil import SilOptions
-
-FRESH: Final = ("ok", "retried", "alert")
-"""States of the bus in which a tick has fresh data (`firmware_py.bus.servo_bus.BusStatus`)."""
 
 
 class SilCaseOptions(MotionOptions, frozen=True, kw_only=True):
@@ -83,13 +81,14 @@ def run_in_software(case: SilCaseOptions, scratch: Path) -> dict[str, Any]:
     document = run_sil(_options(case, scratch)).timing
     if document.interrupted:  # an incomplete run is no result
         raise InputError("run", document.interrupted, "run the campaign again")
-    stale = sum(n for status, n in document.run.bus_faults.items() if status not in FRESH)
+    faults = document.run.bus_faults
+    stale = sum(n for name, n in faults.items() if not BusStatus[name.upper()].fresh)
     paths = [msgspec.to_builtins(error) for error in document.path_errors]
     result = {
         "ended": document.run.ended,
         "reason": document.run.reason,
         "ticks": document.ticks,
-        "bus_faults": document.run.bus_faults,
+        "bus_faults": faults,
         "stale_ticks": stale,
         "faults_injected": document.run.faults_injected,
         "prediction_error": msgspec.to_builtins(document.prediction_error),
