@@ -56,7 +56,6 @@ def _version(library: str) -> str:
         return "none"
 
 
-@functools.lru_cache(maxsize=4096)
 def content_sha256(path: Path) -> str:
     """Return the SHA-256 of a file, or of the names and contents of all files in a directory.
 
@@ -64,7 +63,7 @@ def content_sha256(path: Path) -> str:
     """
     remedy = "name a file or a directory that can be read"
     if not os.path.isdir(path):  # also False for a name that is too long
-        return hashlib.sha256(read_bytes(path, remedy)).hexdigest()
+        return _file_sha256(path, remedy).hex()
     files: list[Path] = []
     for folder, _, names in os.walk(path):
         try:
@@ -76,5 +75,19 @@ def content_sha256(path: Path) -> str:
     digest = hashlib.sha256()
     for file in sorted(files):
         digest.update(str(file.relative_to(path)).encode(errors="surrogateescape") + b"\0")
-        digest.update(hashlib.sha256(read_bytes(file, remedy)).digest())
+        digest.update(_file_sha256(file, remedy))
     return digest.hexdigest()
+
+
+def _file_sha256(path: Path, remedy: str) -> bytes:
+    try:
+        stat = path.stat()
+    except (OSError, ValueError):  # `read_bytes` has a sentence for it
+        return hashlib.sha256(read_bytes(path, remedy)).digest()
+    return _read_sha256(path, remedy, stat.st_mtime_ns, stat.st_size)
+
+
+@functools.lru_cache(maxsize=4096)
+def _read_sha256(path: Path, remedy: str, mtime_ns: int, size: int) -> bytes:
+    """Hash a file once; a worker that lives long reads a file again that has changed."""
+    return hashlib.sha256(read_bytes(path, remedy)).digest()

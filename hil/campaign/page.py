@@ -1,4 +1,4 @@
-"""Page of a campaign: figures of its results over each axis, conditions, failures, costs."""
+"""Page of a campaign: figures of its results over each axis, conditions, failures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from firmware_py.core.signals import unit_of
 from firmware_py.core.units import (
-    DATA_SIZE,
     PRESSURE,
     DisplayUnit,
     error_unit,
@@ -23,7 +22,6 @@ from hil.campaign.cases import flat
 from hil.campaign.kinds.case_kind import CaseKind
 from hil.campaign.specification import CampaignSpec, Draw
 from hil.campaign.summary import CampaignDocument, SummaryRow
-from hil.campaign.worker import CaseCost
 from models.shared.drawing import Drawing
 from models.shared.pages import (
     NO_VALUE,
@@ -96,7 +94,7 @@ class Quantity(NamedTuple):
 
 def write_campaign_page(
     document: CampaignDocument, spec: CampaignSpec, kind: CaseKind[Any],
-    rows: Sequence[SummaryRow], costs: Sequence[CaseCost], path: Path,
+    rows: Sequence[SummaryRow], path: Path,
 ) -> None:  # fmt: skip
     quantities = [Quantity(*item) for item in kind.figures.items()]
     quantities = [q for q in quantities if not all(math.isnan(q.of(row)) for row in rows)]
@@ -111,9 +109,8 @@ def write_campaign_page(
     sections = [
         Section("figures", "Figures of all cases", [_overall(quantities, rows)]),
         *(_axis_section(name, spec.draw.get(name), quantities, rows) for name in varied),
-        Section("conditions", "Conditions", [_conditions(spec, kind.name)]),
+        Section("conditions", "Conditions", [_conditions(spec, kind.name, document.code)]),
         Section("failures", "Cases without a result", [_failures(document)]),
-        Section("costs", "Costs", [costs_part(costs, document.code)]),
     ]
     title = f"Campaign: {spec.name}" if spec.name else f"Campaign of {kind.name}"
     path.write_text(render_page(title, lead, sections, datetime.now(UTC)), encoding="utf-8")
@@ -188,9 +185,9 @@ def _points(
     return drawing.panel(quantity.words, alt)
 
 
-def _conditions(spec: CampaignSpec, kind: str) -> Part:
+def _conditions(spec: CampaignSpec, kind: str, code: str) -> Part:
     """Conditions in the campaign's file: fixed values, axes of the grid, and draws."""
-    rows = [("kind", kind)]
+    rows = [("kind", kind), ("code", code)]
     rows += [(name, _in_words(name, value)) for name, value in flat(spec.fixed).items()]
     for name, values in spec.grid.items():
         more = f", {len(values)} in all" if len(values) > MOST_LEVELS else ""
@@ -239,21 +236,4 @@ def _failures(document: CampaignDocument) -> Part:
         "", ["sentence", "state", "cases", "log of one"], rows,
         "refused: the input cannot be used; failed: an error in the code; killed: the worker died "
         "each time. A second run begins them again.",
-    )  # fmt: skip
-
-
-def costs_part(costs: Sequence[CaseCost], code: str) -> Part:
-    if not costs:
-        return Paragraph("No case of this code ran here.", "missing")
-    cpu_s = np.array([cost.cpu_s for cost in costs])
-    return Facts(
-        [
-            ("code", code),
-            ("cases that ran", str(len(costs))),
-            ("workers", str(len({cost.worker for cost in costs}))),
-            ("processor time of a case", f"{np.median(cpu_s):.2f} s (median), "
-             f"{np.quantile(cpu_s, 0.95):.2f} s (95 %)"),
-            ("processor time of all", f"{cpu_s.sum() / 60:.1f} min"),
-            ("memory of a worker", DATA_SIZE.text(max(cost.memory_bytes for cost in costs))),
-        ]
     )  # fmt: skip

@@ -131,22 +131,6 @@ class ResultStore:
                 table.writerows([CaseCost.__struct_fields__] * new)
                 table.writerow(msgspec.structs.astuple(outcome.cost))
 
-    def read_costs(self, code: str) -> list[CaseCost]:
-        """Return the costs of the cases that a version of the code ran."""
-        costs = []
-        try:
-            with self.costs.open(newline="", encoding="utf-8", errors="replace") as file:
-                for row in csv.DictReader(file):
-                    try:
-                        costs.append(msgspec.convert(row, CaseCost, strict=False))
-                    except msgspec.ValidationError:  # of a campaign that was killed meanwhile
-                        continue
-        except FileNotFoundError:
-            return []
-        except (OSError, csv.Error) as error:
-            raise InputError(self.costs, f"cannot be read ({error})", "remove it") from None
-        return [cost for cost in costs if cost.code == code]
-
     def _failures(self, key: str) -> int:
         numbers = itertools.count(1)
         return next(n for n in numbers if not self._failure_path(key, n).exists()) - 1

@@ -115,7 +115,7 @@ def _result(task: CaseTask, scratch: Path) -> dict[str, Any]:
         if content_sha256(Path(path)) != sha256:
             raise InputError(
                 path, "differs on the worker from what the campaign began with",
-                "copy it again, start the workers anew",
+                "copy it there again, or run the command again",
             )  # fmt: skip
     result = kind.run(msgspec.json.decode(task.options, type=kind.options), scratch)
     plain: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(result))  # NaN becomes null

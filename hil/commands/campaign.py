@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +22,6 @@ from firmware_py.core.errors import InputError
 
 if TYPE_CHECKING:
     from hil.campaign.executors import Workers
-    from hil.campaign.store import ResultStore
 
 EXAMPLE = "dropstitch campaign docs/campaigns/payload-and-loss.toml --out build/campaign"
 EXECUTORS = ("processes", "dask")
@@ -70,14 +68,12 @@ def run(args: argparse.Namespace) -> int:
     store = ResultStore(args.out)
     with store.locked():
         (args.out / "campaign.toml").write_bytes(args.spec.read_bytes())
-        _note_code(store, maker.code)
         last_run = run_cases(cases, maker, store, _workers(args))
         rows = summary_rows(cases, store)
         document = campaign_document(spec, maker, rows, last_run)
         write_summary(rows, args.out / "summary.csv")
         write_document(args.out / "campaign.json", document)
-        costs = store.read_costs(maker.code)
-        write_campaign_page(document, spec, maker.kind, rows, costs, args.out / "report.html")
+        write_campaign_page(document, spec, maker.kind, rows, args.out / "report.html")
     emit(args, msgspec.to_builtins(document), describe_campaign(document, args.out))
     return DONE if document.states.get("done", 0) == len(cases) else NEGATIVE
 
@@ -101,16 +97,3 @@ def _check_alone(args: argparse.Namespace) -> None:
         raise InputError(
             "line", "keeps real time, and workers would disturb each other", "add --workers 1"
         )
-
-
-def _note_code(store: ResultStore, code: str) -> None:
-    """Warn if the directory holds results of another version of the code, which do not count."""
-    path = store.directory / "code.txt"
-    before = path.read_text(encoding="utf-8").strip() if path.exists() else code
-    if before != code:
-        print(
-            f"the code has changed since the last run ({before} to {code}): its results do not "
-            "count",
-            file=sys.stderr,
-        )
-    path.write_text(code + "\n", encoding="utf-8")

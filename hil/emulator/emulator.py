@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import multiprocessing
 import os
 import signal
 from array import array
@@ -26,6 +25,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.units import DURATION
 from firmware_py.system.clock import RealTimeOptions, real_time
 from firmware_py.system.kernel_counters import KernelCounters
+from hil.emulator.child_process import ChildProcess
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
@@ -38,7 +38,6 @@ MAX_PAYLOAD_KG: Final = 20.0
 """Ten times the largest payload of the study."""
 MAX_LATENCY_S: Final = 0.255
 """The latency timer of an FTDI adapter is one byte of milliseconds."""
-_SPAWN = multiprocessing.get_context("spawn")
 
 
 def _no_times() -> NDArray[np.int64]:
@@ -187,8 +186,8 @@ def _run(
         pipe.send(EmulatorOutcome(log.truth(), releases, dict(line.faults.injected)))
 
 
-class Emulator:
-    """Emulated servos in a separate process."""
+class Emulator(ChildProcess[EmulatorOutcome]):
+    """Emulated servos in a separate process; `name` is that of their port."""
 
     def __init__(
         self,
@@ -201,31 +200,9 @@ class Emulator:
         if isinstance(specification.source, Path):
             dof, payload_kg = len(specification.ids), specification.payload_kg
             FmuPhysics(specification.source, dof, payload_kg).fmu.close()
-        self._pipe, child_end = _SPAWN.Pipe()
-        self._process = _SPAWN.Process(
-            target=_run,
-            args=(child_end, specification, kind, directory / f"line-{os.getpid()}", cpu),
-            daemon=True,
-        )
-        self._process.start()
-        child_end.close()
-        try:
-            self.name: str = self._pipe.recv()
-        except EOFError:
-            raise InputError(
-                "emulator", "did not start", "see its message above; is the disk full?"
-            ) from None
-        self.pid = self._process.pid or 0
-
-    def stop(self) -> EmulatorOutcome:
-        self._pipe.send(None)
-        outcome: EmulatorOutcome = self._pipe.recv()
-        return outcome
-
-    def close(self) -> None:
-        """End the process if it is still running."""
-        self._pipe.close()
-        self._process.join()
+        line = directory / f"line-{os.getpid()}"
+        super().__init__("emulator", _run, specification, kind, line, cpu)
+        self.name: str = self.started
 
 
 def serve_forever(

@@ -21,7 +21,7 @@ from firmware_py.system.clock import Clock
 from firmware_py.system.kernel_counters import Counters
 from hil.faults.fault_row import FaultRow
 from hil.faults.faulty_parts import FaultyModels, HostFaults
-from hil.faults.observation import CaseOutcome, Columns
+from hil.faults.observation import CaseObservation, Columns
 from hil.faults.servo_log import LoggedServo
 
 REST_S: Final = 0.3
@@ -103,8 +103,8 @@ def run_case_loop(
     host: HostFaults,
     opener: Callable[[], Transport],
     counters: Counters | None = None,
-) -> tuple[CaseOutcome, Columns]:
-    """Run the robot's loop; return its outcome and its ticks by column.
+) -> tuple[CaseObservation, Columns]:
+    """Run the robot's loop; return what it reported and its ticks by column.
 
     `goals` are the source of the goals and the correction that is added to them.
     """
@@ -120,11 +120,13 @@ def run_case_loop(
         finally:
             bus.close()
     except InputError as error:
-        return CaseOutcome("refused", str(error)), {}
-    outcome = CaseOutcome(
-        summary.ended.value, summary.reason, summary.replugs, summary.telemetry_drops,
-        {cause.value: count for cause, count in summary.timing.causes.items() if count},
+        return CaseObservation("refused", str(error)), {}
+    reported = CaseObservation(
+        summary.ended.value,
+        summary.reason,
+        replugs=summary.replugs,
+        misses={cause.value: count for cause, count in summary.timing.causes.items() if count},
         held_up_ticks=summary.held_up_ticks,
-    )  # fmt: skip
+    )
     records = summary.records
-    return outcome, {name: records[name] for name in records.dtype.names or ()}
+    return reported, {name: records[name] for name in records.dtype.names or ()}

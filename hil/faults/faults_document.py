@@ -24,7 +24,7 @@ from firmware_py.safety.estimate_trust import FADE_S
 from firmware_py.safety.states import UNRELEASED
 from firmware_py.system.timing import Cause
 from hil.faults.fault_row import FaultRow
-from hil.faults.observation import TOLD_NOTHING, CaseObservation
+from hil.faults.observation import CaseObservation
 from hil.sil.processors import HostEnvironment, host_environment
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
@@ -94,8 +94,8 @@ def _safety_violations(run: CaseObservation, period_s: float) -> list[str]:
         complaints.append("a servo still drives in the end")
     elif run.live and run.ended in ("tripped", "signalled") and UNRELEASED not in run.reason:
         complaints.append("a servo still drives although the run says that it is released")
-    if run.ended == "refused" and run.told != TOLD_NOTHING:
-        complaints.append(f"the torque was on although it was refused: {run.told}")
+    if run.ended == "refused" and run.driven:
+        complaints.append("the torque was on although it was refused")
     if run.live and run.drift_rad > _DRIFT_RAD:
         complaints.append(f"it moved {run.drift_rad:.3f} rad after the last that it heard")
     if run.fade_ticks is not None and run.fade_ticks > math.ceil(FADE_S / period_s):
@@ -148,7 +148,7 @@ class CaseResult(CaseObservation, frozen=True, kw_only=True):
 class FaultsDocument(Document, frozen=True, kw_only=True):
     """Contents of `faults.json`."""
 
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
     MADE_BY: ClassVar[str] = "dropstitch faults"
 
     # Worst verdict of the cases; inconclusive if cases were not run and none failed

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import msgspec
@@ -21,23 +20,8 @@ from firmware_py.safety.states import SafetyState
 from hil.faults.servo_log import ServoLog
 
 Columns = Mapping[str, NDArray[Any]]
-TOLD_NOTHING: Final = "nothing, the torque stayed off"
-"""Commands to the servos of a robot that was refused."""
 _SAME_RAD: Final = 1e-12
 _READS_PER_TICK: Final = 2
-
-
-@dataclass(frozen=True)
-class CaseOutcome:
-    """Outcome of a run as the robot reported it."""
-
-    ended: str  # As in `RunSummary`, or "refused" or "killed"
-    reason: str
-    replugs: int = 0
-    telemetry_drops: int = 0
-    misses: dict[str, int] = field(default_factory=dict)  # Missed slots by cause
-    unlogged_stale: int = 0  # Ticks without fresh data in a run with an incomplete log
-    held_up_ticks: int = 0
 
 
 class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,11 +33,7 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     injected: bool = True  # Whether the fault occurred
     # Ticks until the record showed the fault, 1 for the same tick; None if it never did
     detected_ticks: int | None = None
-    # Highest state of the supervisor during the motion
-    state: str = SafetyState.STARTING.name
-    told: str = TOLD_NOTHING  # Description of the commands to the servos after the fault
-    # Ticks from the first sign of the fault to the recovery; None without a sign or a recovery
-    recovered_ticks: int | None = None
+    driven: bool = False  # Whether a servo got a goal, or its torque was on at the end
     lost_ticks: int = 0  # Slots without fresh data after the fault, including missed slots
     unlogged_ticks: int = 0  # Ticks missing in the log
     replugs: int = 0  # Number of times that the robot continued after its port came back
@@ -75,7 +55,7 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def observe_case(
-    outcome: CaseOutcome,
+    reported: CaseObservation,
     columns: Columns,
     servo_log: ServoLog,
     began_ns: Iterable[int | None],
@@ -83,28 +63,28 @@ def observe_case(
     config: RobotConfig,
     stepped_in_tick: int | None = None,
 ) -> CaseObservation:
-    """Combine the loop's record and the servos' log.
+    """Complete what the robot `reported` by its ticks and the servos' log.
 
     The first of `began_ns` is the start of the fault; None for what never began. `slots` is the
     length of the motion, without the stop at its end. `stepped_in_tick` is the tick, from 1, in
     which a clock fault separated the record's clock from the servos' clock.
     """
     first_ns = min((time_ns for time_ns in began_ns if time_ns is not None), default=None)
-    facts: dict[str, Any] = {"unlogged_ticks": outcome.telemetry_drops}
+    facts: dict[str, Any] = {}
     if len(columns.get("tick", ())):
         first = stepped_in_tick - 1 if stepped_in_tick else _first(columns, first_ns)
-        facts |= _course(columns, first, slots)
+        facts = _course(columns, first, slots)
         if not stepped_in_tick:
             facts["stale_as_fresh"] = _stale_as_fresh(columns, servo_log)
-    if outcome.unlogged_stale or (outcome.telemetry_drops and outcome.misses):
-        facts["lost_ticks"] = outcome.unlogged_stale + sum(outcome.misses.values())
-    return CaseObservation(
+    if reported.lost_ticks:  # by a robot whose log is incomplete
+        facts["lost_ticks"] = reported.lost_ticks
+    return msgspec.structs.replace(
+        reported,
         injected=first_ns is not None,
-        ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
-        misses=outcome.misses, told=_told(outcome, servo_log),
+        driven=bool(len(servo_log.goal_ns)) or servo_log.live,
         unheard_ns=servo_log.unheard_ns, watched=servo_log.watched, live=servo_log.live,
         drift_rad=servo_log.drift_rad, late_replies=servo_log.late_replies,
-        held_up_replies=servo_log.held_up_replies, held_up_ticks=outcome.held_up_ticks,
+        held_up_replies=servo_log.held_up_replies,
         goal_jump_rad=_goal_jump_rad(servo_log, config),
         **facts,
     )  # fmt: skip
@@ -119,7 +99,7 @@ def _first(columns: Columns, began_ns: int | None) -> int | None:
 
 
 def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
-    """Detection, recovery and lost ticks, from the tick of the fault to the end of the motion."""
+    """Detection and lost ticks, from the tick of the fault to the end of the motion."""
     ticks, states = columns["tick"].astype(int), columns["state"].astype(int)
     stale = columns["bus_status"] > BusStatus.ALERT
     missed = columns["missed"].astype(int)
@@ -130,12 +110,8 @@ def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
         | (states[span] != SafetyState.RUNNING)
         | (missed[span] > 0)
     ]
-    good_after = span[span > bad[-1]] if len(bad) else bad
-    highest = int(states[span].max()) if len(span) else SafetyState.RUNNING
     return {
         "detected_ticks": int(bad[0] - first + 1) if len(bad) and first is not None else None,
-        "state": SafetyState(highest).name,
-        "recovered_ticks": int(ticks[good_after[0]] - ticks[bad[0]]) if len(good_after) else None,
         "lost_ticks": int(stale[span].sum() + missed[span].sum()),
     } | _trust(columns)
 
@@ -189,19 +165,3 @@ def _goal_jump_rad(servo_log: ServoLog, config: RobotConfig) -> float:
                 excess = max(excess, step_rad - allowed_rad)
                 before, before_ns = goal, now_ns
     return excess
-
-
-def _told(outcome: CaseOutcome, servo_log: ServoLog) -> str:
-    """Describe the commands that the servos received after the fault."""
-    if not len(servo_log.goal_ns) and not servo_log.live:
-        return TOLD_NOTHING
-    if servo_log.live:
-        return "nothing: without a watchdog it holds its last goal"
-    if servo_log.stopped_by_watchdog:
-        stopped = "its own watchdog stopped it where it stood"
-        return f"{stopped}, then the goals blend on from there" if outcome.replugs else stopped
-    if outcome.replugs:
-        return "nothing while unplugged, then the goals blend on from where it stands"
-    if outcome.ended in ("tripped", "signalled"):
-        return "goals slow down to rest, held, torque off"
-    return "goals along the motion"

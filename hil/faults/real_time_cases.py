@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
-import multiprocessing
 import os
 import shutil
 import signal
@@ -18,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -37,6 +36,7 @@ from firmware_py.inference.bundle_signature import TrustConfig
 from firmware_py.log.recording import read_recording
 from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.system.kernel_counters import KernelCounters
+from hil.emulator.child_process import SPAWN, ChildProcess
 from hil.emulator.emulator import PRIORITY
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
 from hil.emulator.physics import FmuPhysics
@@ -44,11 +44,10 @@ from hil.faults.case_robot import CaseRobot, case_config, case_servos, run_case_
 from hil.faults.fault_kinds import RobotProcess, recorders
 from hil.faults.fault_row import FaultRow
 from hil.faults.faulty_parts import FaultSchedule, HostFaults
-from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
+from hil.faults.observation import CaseObservation, Columns, observe_case
 from hil.faults.servo_log import LoggedBus, ServoLog
 from hil.sil.processors import assign_processors, pinned_to
 
-_SPAWN: Final = multiprocessing.get_context("spawn")
 SOCKET_SLOTS: Final = 150
 """Slots of the motion on a socket: 2.6 s. The fault begins before the 110th."""
 PROCESS_S: Final = 2.6
@@ -126,18 +125,12 @@ def _run_servos(pipe: Connection, exchange: Any, task: ServoProcessTask) -> None
     pipe.send(bus.log(time.monotonic_ns()))
 
 
-class ServoProcess:
+class ServoProcess(ChildProcess[ServoLog]):
     """Process that runs the servos of a case."""
 
     def __init__(self, task: ServoProcessTask) -> None:
-        self._pipe, child_end = _SPAWN.Pipe()
-        self._counter: Any = _SPAWN.RawValue("q", 0)
-        self._process = _SPAWN.Process(
-            target=_run_servos, args=(child_end, self._counter, task), daemon=True
-        )
-        self._process.start()
-        child_end.close()
-        self._pipe.recv()
+        self._counter: Any = SPAWN.RawValue("q", 0)
+        super().__init__("servos of the case", _run_servos, self._counter, task)
 
     @property
     def exchange(self) -> int:
@@ -146,22 +139,11 @@ class ServoProcess:
 
     def unplug(self) -> int:
         """Remove the port; return the time in ns."""
-        self._pipe.send("unplug")
-        return int(self._pipe.recv())
+        return int(self.ask("unplug"))
 
     def plug(self, port: Path) -> None:
         """Open the port again, under a name."""
-        self._pipe.send(port)
-
-    def stop(self) -> ServoLog:
-        self._pipe.send(None)
-        servo_log: ServoLog = self._pipe.recv()
-        return servo_log
-
-    def close(self) -> None:
-        """End the process if it is still running."""
-        self._pipe.close()
-        self._process.join()
+        self.tell(port)
 
 
 @contextlib.contextmanager
@@ -195,15 +177,17 @@ def run_socket(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseO
 
         with contextlib.closing(KernelCounters()) as counters, real_time(config.real_time):
             before = _collections()
-            outcome, columns = run_case_loop(
+            reported, columns = run_case_loop(
                 robot, config, (goals, None), SOCKET_SLOTS, clock, host, opener, counters
             )
             collections = _collections() - before
         servo_log = servos.stop()
     if collections:
-        outcome = replace(outcome, ended="collected", reason=f"{collections} garbage collections")
+        reported = msgspec.structs.replace(
+            reported, ended="collected", reason=f"{collections} garbage collections"
+        )
     began_ns = (host.began_ns, servo_log.began_ns)
-    return observe_case(outcome, columns, servo_log, began_ns, SOCKET_SLOTS, config)
+    return observe_case(reported, columns, servo_log, began_ns, SOCKET_SLOTS, config)
 
 
 def _collections() -> int:
@@ -251,9 +235,9 @@ def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Case
             time.sleep(_SETTLE_S)
             servo_log = servos.stop()
             columns = _columns(log)
-            outcome = _outcome(process, output, errors, columns)
+            reported = _reported(process, output, errors, columns)
     slots = round(seconds / config.period_s)
-    return observe_case(outcome, columns, servo_log, [began_ns], slots, config)
+    return observe_case(reported, columns, servo_log, [began_ns], slots, config)
 
 
 @contextlib.contextmanager
@@ -334,22 +318,25 @@ def _columns(log: Path) -> Columns:
         time.sleep(0.05)
 
 
-def _outcome(
+def _reported(
     process: subprocess.Popen[str], output: str, errors: str, columns: Columns
-) -> CaseOutcome:
+) -> CaseObservation:
     if not output:
         if process.returncode == BAD_INPUT:
-            return CaseOutcome("refused", errors.strip())
+            return CaseObservation("refused", errors.strip())
         killed = process.returncode == -signal.SIGKILL
-        return CaseOutcome("killed" if killed else f"exit {process.returncode}", "no last words")
+        ended = "killed" if killed else f"exit {process.returncode}"
+        return CaseObservation(ended, "no last words")
     summary = json.loads(output)
-    timing = summary["timing"]
-    logged = len(columns.get("tick", ()))
+    misses = {cause: count for cause, count in summary["timing"]["causes"].items() if count}
+    unlogged = summary["ticks"] - len(columns.get("tick", ()))
     stale = sum(n for name, n in summary["bus_faults"].items() if not BusStatus[name.upper()].fresh)
-    return CaseOutcome(
-        summary["ended"], summary["reason"], summary["replugs"],
-        telemetry_drops=summary["ticks"] - logged,
-        misses={cause: count for cause, count in timing["causes"].items() if count},
-        unlogged_stale=stale if logged < summary["ticks"] else 0,
+    return CaseObservation(
+        summary["ended"],
+        summary["reason"],
+        replugs=summary["replugs"],
+        unlogged_ticks=unlogged,
+        lost_ticks=stale + sum(misses.values()) if unlogged > 0 else 0,
+        misses=misses,
         held_up_ticks=summary["held_up_ticks"],
-    )  # fmt: skip
+    )

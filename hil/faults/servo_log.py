@@ -121,7 +121,6 @@ class ServoLog:
     watched: bool  # Whether the servos have a bus watchdog
     unheard_ns: int  # Longest time for which a servo was driven without an instruction
     live: bool  # Whether a servo is still driven at the end
-    stopped_by_watchdog: bool  # Whether a watchdog stopped its servo
     drift_rad: float  # Largest movement of a servo after its last instruction
     # Replies that were written more than `LATE_NS` after they were due; 0 in simulated time
     late_replies: int
@@ -141,7 +140,6 @@ class LoggedBus(EmulatedBus):
         self._sample_ns, self._sample_rad = array("q"), array("d")
         self._goal_ns, self._goal_rad, self._stand_rad = array("q"), array("d"), array("d")
         self._last_heard_rad = self.physics.angle_rad.copy()
-        self._stopped_by_watchdog = False
         self._late_replies = self._held_up_replies = self._delay_ns = 0
 
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
@@ -171,10 +169,6 @@ class LoggedBus(EmulatedBus):
         else:
             super().resume(now_ns)
 
-    def advance(self, now_ns: int) -> None:
-        super().advance(now_ns)
-        self._stopped_by_watchdog |= any(servo.watchdog_tripped for servo in self._watched)
-
     def note_release(self, due_ns: int, written_ns: int, delay_ns: int = 0) -> None:
         """Count late replies in real time; `delay_ns` is the process's run-queue delay so far."""
         self._held_up_replies += self.driven and delay_ns - self._delay_ns > LATE_NS
@@ -197,7 +191,6 @@ class LoggedBus(EmulatedBus):
             watched=all(Register.BUS_WATCHDOG in servo.model.table for servo in self._watched),
             unheard_ns=max(servo.unheard_ns for servo in self._watched),
             live=any(servo.live for servo in self._watched),
-            stopped_by_watchdog=self._stopped_by_watchdog,
             drift_rad=float(np.abs(self.physics.angle_rad - self._last_heard_rad).max()),
             late_replies=self._late_replies,
             held_up_replies=self._held_up_replies,

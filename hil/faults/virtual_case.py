@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -102,14 +102,16 @@ def _run(
     goals_rad = case_goals(config, setup.through_pulse, number)
     goals = case_source(robot, config, goals_rad, row, host)
     slots = slots_of(row)
-    outcome, columns = run_case_loop(robot, config, goals, slots, clock, host, opener)
+    reported, columns = run_case_loop(robot, config, goals, slots, clock, host, opener)
     servo_log = bus.log(true_clock.now_ns() + _SETTLE_NS)
     if (pulse := setup.through_pulse) is not None:
         wanted_rad = MODELS[number].angle_rad(pulse)
         if not np.any(np.all(servo_log.goal_rad == wanted_rad, axis=1)):
-            outcome = replace(outcome, ended="goal lost", reason="the goal never arrived")
+            reported = msgspec.structs.replace(
+                reported, ended="goal lost", reason="the goal never arrived"
+            )
     return observe_case(
-        outcome, columns, servo_log, (host.began_ns, servo_log.began_ns), slots, config,
+        reported, columns, servo_log, (host.began_ns, servo_log.began_ns), slots, config,
         stepped_in_tick=script.start if row.injects("clock") else None,
     )  # fmt: skip
 

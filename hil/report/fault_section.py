@@ -14,8 +14,7 @@ from hil.verdict import Verdict
 from models.shared.pages import NO_VALUE, Cell, Facts, Paragraph, Part, Table, TableCell
 
 _HEADER: Final = [
-    "fault", "required", "detected after, ticks", "supervisor state", "last command to the servos",
-    "recovered after, ticks", "ticks lost", "ticks missing in the log",
+    "fault", "required", "detected after, ticks", "ticks lost", "ticks missing in the log",
     "longest without packet, ms", "cases passed",
 ]  # fmt: skip
 _LINES: Final = {
@@ -86,15 +85,12 @@ def _row(cases: list[CaseResult]) -> list[Cell]:
     first = cases[0]
     passed = sum(case.verdict is Verdict.PASS for case in cases)
     failed = any(case.verdict is Verdict.FAIL for case in cases)
-    complaints = _each(words for case in cases for words in case.complaints)
+    complaints = "; ".join(dict.fromkeys(words for case in cases for words in case.complaints))
     met = False if failed else True if passed == len(cases) else None
     return [
         f"{first.fault}, {first.how}",
         first.must,
         _largest(case.detected_ticks for case in cases),
-        _each(case.state.lower() for case in cases),
-        _each(case.told for case in cases),
-        _largest(case.recovered_ticks for case in cases),
         _largest(case.lost_ticks for case in cases),
         _largest(case.unlogged_ticks for case in cases),
         TICK_TIME.number(max(case.unheard_ns for case in cases), 0),
@@ -105,7 +101,3 @@ def _row(cases: list[CaseResult]) -> list[Cell]:
 def _largest(values: Iterable[Any]) -> str:
     known = [value for value in values if value is not None]
     return str(max(known)) if known else NO_VALUE
-
-
-def _each(words: Iterable[str]) -> str:
-    return "; ".join(dict.fromkeys(words))

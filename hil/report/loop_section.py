@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, TICK_TIME, TIME
-from firmware_py.system.timing import LABELS
 from hil.report.arm import LEGEND, arm_motion, arm_panel
 from hil.report.build_inputs import LoopRun
 from hil.sil.sil_results import draw_ends
-from hil.sil.timing_document import TimingDocument
+from hil.sil.timing_document import TimingDocument, duration_table
 from hil.sil.timing_verdict import PREEMPTED_NS
 from hil.verdict import Verdict
 from models.predictor.validation import COVERS, coverage_text
@@ -43,8 +42,9 @@ WHOLE: Final = BLUE
 OWN: Final = ORANGE
 PARTS: Final = {
     "all": "all ticks", "in_range": "in range", "out_of_range": "out of range",
-    "rest": "rest between motions", "motion": "motion, as in training",
-    "glide": "glide to zero after the motion", "stop": "controlled stop",
+    "approach": "approach and probing motion", "rest": "rest between motions",
+    "motion": "motion, as in training", "glide": "glide to zero after the motion",
+    "stop": "controlled stop",
 }  # fmt: skip
 
 
@@ -304,37 +304,8 @@ def _timeline(time_s: Array, end_ms: Array, host_ms: Array, deadline_ms: float) 
 
 
 def _duration_table(loop: LoopRun) -> Table:
-    """Durations of the stages, of the whole tick and of the wake-up, with budgets."""
-    timing, parts = loop.timing, loop.timing.tick_budget
-    rows = {
-        **{f"stage: {name}": durations for name, durations in timing.stages.items()},
-        **{f"read: {part}": durations for part, durations in parts.read.items()},
-        "slack": parts.slack,
-        "whole tick": timing.tick,
-        "waiting for the bus": timing.bus_wait,
-        "own cost": timing.own_cost,
-        "preempted by the host": timing.host,
-        "wake-up latency": timing.lateness,
-        "wake-up latency of the reference": timing.reference_jitter,
-    }
-    # The budget of the read is that of its own part, without the wait for the bus.
-    budgets = {
-        "read: own" if name == "read" else f"stage: {name}": TICK_TIME.number(stage.budget_p99_ns)
-        for name, stage in parts.stages.items()
-    }
-    return Table(
-        f"{loop.title}, in {TICK_TIME.name}",
-        ["", "n", *LABELS, "budget of p99"],
-        [
-            [
-                name,
-                str(d.n),
-                *(TICK_TIME.number(getattr(d, field)) for field in LABELS.values()),
-                budgets.get(name, ""),
-            ]
-            for name, d in rows.items()
-        ],
-    )
+    header, *rows = duration_table(loop.timing, TICK_TIME)
+    return Table(f"{loop.title}, in {TICK_TIME.name}", header, [list[Cell](row) for row in rows])
 
 
 def _environment_table(loops: Sequence[LoopRun]) -> Table:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import multiprocessing
 import os
 import signal
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ import numpy as np
 
 from firmware_py.system.clock import RealTimeOptions, real_time
 from firmware_py.system.timing import Nanoseconds, Percentiles
+from hil.emulator.child_process import ChildProcess
 from models.shared.c_compiler import compile_library
 
 PROBE_PRIORITY: Final = 80
@@ -34,7 +34,6 @@ _SOURCE: Final = Path(__file__).with_name("c") / "probe.c"
 _ROWS: Final = 20_000
 _COLUMNS: Final = 3
 _NONE = np.zeros(0, np.int64)
-_SPAWN = multiprocessing.get_context("spawn")
 
 
 class ReferenceJitter(Percentiles, frozen=True, kw_only=True):
@@ -92,7 +91,7 @@ class ProbeRecord:
         return int(self.own_ns[first : last + 1].sum())
 
 
-class Probe:
+class Probe(ChildProcess[ProbeRecord]):
     """Probe on one processor, running from its creation until `stop`.
 
     `neighbours` are processes of this program that may run on the same processor, without the
@@ -100,26 +99,9 @@ class Probe:
     """
 
     def __init__(self, cpu: int, neighbours: Sequence[int] = ()) -> None:
-        self._pipe, child_end = _SPAWN.Pipe()
         with TemporaryDirectory(prefix="dropstitch-probe-") as scratch:
             library = compile_library([_SOURCE], Path(scratch) / "probe.so")
-            self._process = _SPAWN.Process(
-                target=_probe, args=(child_end, library, cpu, tuple(neighbours)), daemon=True
-            )
-            self._process.start()
-            child_end.close()
-            self._privileged: bool = self._pipe.recv()
-
-    def stop(self) -> ProbeRecord:
-        self._pipe.send(None)
-        rows: Nanoseconds = self._pipe.recv()
-        wake, lateness, own = np.ascontiguousarray(rows.T)
-        return ProbeRecord(wake, lateness, own, privileged=self._privileged)
-
-    def close(self) -> None:
-        """End the probe if it is still running."""
-        self._pipe.close()
-        self._process.join()
+            super().__init__(f"probe on processor {cpu}", _probe, library, cpu, tuple(neighbours))
 
 
 def _probe(pipe: Connection, library: Path, cpu: int, neighbours: tuple[int, ...]) -> None:
@@ -130,7 +112,8 @@ def _probe(pipe: Connection, library: Path, cpu: int, neighbours: tuple[int, ...
     accounts_c, state = (ctypes.c_int * len(accounts))(*accounts), (ctypes.c_int64 * 2)()
     chunks = []
     with real_time(RealTimeOptions(priority=PROBE_PRIORITY, cpu=cpu)):
-        pipe.send(os.sched_getparam(0).sched_priority == PROBE_PRIORITY)
+        privileged = os.sched_getparam(0).sched_priority == PROBE_PRIORITY
+        pipe.send("ready")
         filled = _ROWS
         while filled == _ROWS:
             rows = np.zeros((_ROWS, _COLUMNS), np.int64)
@@ -140,4 +123,5 @@ def _probe(pipe: Connection, library: Path, cpu: int, neighbours: tuple[int, ...
             )  # fmt: skip
             chunks.append(rows[:filled])
     with contextlib.suppress(BrokenPipeError):  # the parent may have ended
-        pipe.send(np.concatenate(chunks))
+        wake, lateness, own = np.ascontiguousarray(np.concatenate(chunks).T)
+        pipe.send(ProbeRecord(wake, lateness, own, privileged=privileged))

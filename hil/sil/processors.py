@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import platform
 import signal
@@ -13,7 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-_SPAWN = multiprocessing.get_context("spawn")
+from hil.emulator.child_process import SPAWN
 
 
 class HostEnvironment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -31,7 +30,7 @@ class HostEnvironment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 @contextlib.contextmanager
 def cpu_load(count: int, cpus: set[int]) -> Iterator[None]:
     """Keep processors busy with `count` processes during the block."""
-    processes = [_SPAWN.Process(target=_spin, args=(cpus,), daemon=True) for _ in range(count)]
+    processes = [SPAWN.Process(target=_spin, args=(cpus,), daemon=True) for _ in range(count)]
     for process in processes:
         process.start()
     try:

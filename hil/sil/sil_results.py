@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
+from firmware_py.core.errors import InputError
 from firmware_py.core.signals import joint_signals, marker_signals, tip_names
-from firmware_py.core.units import LENGTH, POSITION, TIME, DisplayUnit
+from firmware_py.core.units import CPU_TIME, LENGTH, POSITION, TIME, DisplayUnit
 from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.log.recording import OUTSIDE
@@ -22,7 +23,7 @@ from firmware_py.summary import Ended, RangeReasons, RunSummary
 from hil.emulator.emulator import EmulatorOutcome
 from hil.sil.probe import ProbeRecord
 from hil.sil.sil_options import SilOptions
-from hil.sil.tick_budget import describe_budget, measure_budget, plan_times
+from hil.sil.tick_budget import plan_times, read_parts
 from hil.sil.timing_document import (
     MoveFigures,
     PathError,
@@ -30,6 +31,7 @@ from hil.sil.timing_document import (
     RunFacts,
     SilEnvironment,
     TimingDocument,
+    duration_table,
     write_timing,
 )
 from hil.sil.timing_verdict import judge_timing, timing_junit
@@ -127,7 +129,13 @@ class SilResult:
         return _plot(self)
 
     def trial(self) -> Trial:
-        """Return the run as a trial: the servos' measurements and the true tip."""
+        """Return the run as a trial: the servos' measurements and the true tip.
+
+        Raises
+        ------
+        InputError
+            If the run ended before its motion.
+        """
         return _trial_of(self)
 
     def write(self, out: Path | str | None = None) -> Path:
@@ -146,7 +154,7 @@ class SilResult:
         write_timing(directory / "timing.json", timing)
         facts = msgspec.to_builtins(timing.environment)
         (directory / "timing.xml").write_bytes(timing_junit(timing, facts))
-        if self.link and timing.prediction_error.n:
+        if self.link and _measured_in_motion(self).sum() > 1:
             write_trial(self.trial(), directory / "trial")
         save_svg(self.plot(), directory / "summary.svg")
         return directory
@@ -167,7 +175,7 @@ def _timing_document(result: SilResult) -> TimingDocument:
         interrupted=_interrupted(result),
         miss_rate=1.0 if options.line == "virtual" else options.miss_rate,
     )
-    reference, bus_times = result.loop_cpu.jitter(), plan_times(result.bus_plan)
+    bus_times = plan_times(result.bus_plan)
     errors: tuple[PathError, ...] = ()
     moves: tuple[MoveFigures, ...] = ()
     payload_note = ""
@@ -193,9 +201,9 @@ def _timing_document(result: SilResult) -> TimingDocument:
             out_of_range=summary.out_of_range,
             out_of_range_reasons=result.out_of_range,
         ),
-        reference_jitter=reference,
+        reference_jitter=result.loop_cpu.jitter(),
         bus_plan=bus_times,
-        tick_budget=measure_budget(records, options.period_s, bus_times, reference),
+        read_parts=read_parts(records, bus_times),
         prediction_error=prediction_error(records, truth, options.programme_s),
         path_errors=errors,
         moves=moves,
@@ -212,25 +220,36 @@ def _interrupted(result: SilResult) -> str:
     return f"{summary.reason} ended the run after {ran} of {result.options.slots} slots"
 
 
-def _trial_of(result: SilResult) -> Trial:
-    """Return the run as a trial.
+def _measured_in_motion(result: SilResult) -> NDArray[np.bool_]:
+    """Ticks of the motion with fresh data, shape (n,)."""
+    tip = true_tip_m(result.records, result.outcome.truth)
+    return np.asarray(np.isfinite(tip[:, 0]) & (result.records["tick"] >= 0))
 
-    The emulator has no markers, so their cells stay empty. A trial has a uniform time step, so
-    skipped slots and ticks without fresh data are interpolated; the notes count them.
+
+def _trial_of(result: SilResult) -> Trial:
+    """Return the run as a trial, from the beginning of its motion.
+
+    Approach and probing motion precede it: the first rows of a trial are at rest. The emulator has
+    no markers, so their cells stay empty. A trial has a uniform time step, so skipped slots and
+    ticks without fresh data are interpolated; the notes count them.
     """
     options, records = result.options, result.records
+    measured = int(_measured_in_motion(result).sum())
+    if measured < 2:
+        raise InputError("run", "ended before its motion", "see its reason, and run it again")
     tip = true_tip_m(records, result.outcome.truth)
     fresh = np.isfinite(tip[:, 0])
-    grid = np.arange(records["tick"][0], records["tick"][-1] + 1)
-    columns = {"time_s": (grid - grid[0]) * options.period_s}
+    grid = np.arange(records["tick"][-1] + 1)
+    columns = {"time_s": grid * options.period_s}
     known = {s.name: records[s.name] for s in joint_signals(options.dof)}
     known |= {name: tip[:, k] for k, name in enumerate(tip_names())}
     for name, values in known.items():
         columns[name] = np.interp(grid, records["tick"][fresh], values[fresh])
-    filled, rest_s = len(grid) - int(fresh.sum()), options.motion.rest_s
-    link, conditions = result.link or {}, dict[str, Any]()
+    filled = len(grid) - measured
+    rest_s, link = options.motion.rest_s, result.link or {}
     if options.plan is not None:
-        conditions, rest_s = options.plan.conditions(), options.plan.rest_s
+        conditions: dict[str, Any] = options.plan.conditions()
+        rest_s = options.plan.rest_s
     elif options.goals is not None:
         goals = np.column_stack([columns[f"goal_{j}_rad"] for j in range(1, options.dof + 1)])
         rest_s = rows_at_rest(goals) * options.period_s
@@ -355,10 +374,15 @@ def timing_in_words(timing: TimingDocument) -> str:
 
 def _timing_lines(timing: TimingDocument) -> list[str]:
     causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items())
+    table = duration_table(timing, CPU_TIME)
+    table[0][0] = f"in {CPU_TIME.name}"
     return [
         f"misses {timing.misses} ({causes}); the host preempted {timing.host.preempted_ticks} of "
         f"{timing.ticks} ticks",
-        *describe_budget(timing.tick_budget, timing.own_cost, timing.reference_jitter),
+        *(
+            f"{name:32} " + " ".join(f"{cell:>8}" for cell in cells) + f" {budget:>14}".rstrip()
+            for name, *cells, budget in table
+        ),
         *timing.environment.refused,
     ]
 

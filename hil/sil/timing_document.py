@@ -11,10 +11,12 @@ from typing import ClassVar
 import msgspec
 
 from firmware_py.core.documents import read_document, write_document
+from firmware_py.core.units import DisplayUnit
 from firmware_py.summary import FeedbackUse, RangeReasons
+from firmware_py.system.timing import LABELS, Percentiles
 from hil.sil.probe import ReferenceJitter
 from hil.sil.processors import HostEnvironment
-from hil.sil.tick_budget import PlanTimes, TickBudget
+from hil.sil.tick_budget import PlanTimes
 from hil.sil.timing_verdict import TimingVerdict
 
 
@@ -82,7 +84,8 @@ class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 class PredictionError(TipErrors, frozen=True, kw_only=True):
     """Distance between the predicted and the true tip over a run, and over its parts."""
 
-    # Errors of each part with fresh ticks: in_range, out_of_range, parts of the programme, stop
+    # Errors of each part that has fresh ticks: in_range, out_of_range, approach, the parts of the
+    # programme, stop
     parts: dict[str, TipErrors] = msgspec.field(default_factory=dict)
 
 
@@ -115,8 +118,7 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
     run: RunFacts  # Course of the run
     reference_jitter: ReferenceJitter  # Wake-up jitter of the machine
     bus_plan: PlanTimes  # Times that follow from the bus plan
-    # Breakdown of the ticks' time
-    tick_budget: TickBudget = msgspec.field(name="account")
+    read_parts: dict[str, Percentiles]  # Parts of the read: own, transmission, servo, wait
     prediction_error: PredictionError  # Error of the robot's prediction
     # Path error in each complete run of a plan
     path_errors: tuple[PathError, ...] = ()
@@ -129,3 +131,27 @@ def read_timing(path: Path) -> TimingDocument:
 
 def write_timing(path: Path, document: TimingDocument) -> None:
     write_document(path, document)
+
+
+def duration_table(timing: TimingDocument, unit: DisplayUnit) -> list[list[str]]:
+    """Return the durations of the stages, of the whole tick and of the wake-up, header first."""
+    rows: dict[str, tuple[Percentiles, str]] = {}
+    for name, stage in timing.stages.items():
+        budget = unit.number(stage.budget_p99_ns)
+        rows[f"stage: {name}"] = stage, "" if name == "read" else budget
+        if name == "read":  # its budget is that of its own part
+            for part, durations in timing.read_parts.items():
+                rows[f"read: {part}"] = durations, budget if part == "own" else ""
+    rows |= {
+        "slack": (timing.slack, f"least {unit.number(timing.slack.min_ns)}"),
+        "whole tick": (timing.tick, ""),
+        "waiting for the bus": (timing.bus_wait, ""),
+        "own cost": (timing.own_cost, ""),
+        "preempted by the host": (timing.host, ""),
+        "wake-up latency": (timing.lateness, ""),
+        "wake-up latency of the reference": (timing.reference_jitter, ""),
+    }
+    return [["", "n", *LABELS, "budget of p99"]] + [
+        [name, str(row.n), *(unit.number(getattr(row, field)) for field in LABELS.values()), note]
+        for name, (row, note) in rows.items()
+    ]

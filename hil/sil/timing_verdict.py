@@ -59,6 +59,7 @@ from firmware_py.system.timing import (
 )
 from hil.emulator.emulator import Releases
 from hil.sil.probe import ProbeRecord
+from hil.sil.tick_budget import Slack, StageTime, slack, stage_time
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
 PREEMPTED_NS: Final = 500_000
@@ -98,7 +99,7 @@ class HostTime(Percentiles, frozen=True, kw_only=True):
 class TimingVerdict(Document, frozen=True, kw_only=True):
     """Verdict on the timing of a run; the first part of `timing.json`."""
 
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4
 
     verdict: Verdict
     reason: str  # One sentence that explains the verdict
@@ -108,11 +109,12 @@ class TimingVerdict(Document, frozen=True, kw_only=True):
     targets: TimingTargets = msgspec.field(name="budget")  # Limits
     slots: int  # Number of slots, including lost ones
     ticks: int  # Number of ticks that ran
-    stages: dict[str, Percentiles]  # Duration of each stage of a tick
+    stages: dict[str, StageTime]  # Duration of each stage of a tick, and its budget
     tick: Percentiles  # Duration of a tick
     own_cost: Percentiles  # Duration of a tick without its wait for the bus
     bus_wait: Percentiles  # Wait for the bus in a tick
     lateness: Percentiles  # Lateness of the wake-up
+    slack: Slack  # Time left in the period after a tick
     host: HostTime  # Certain host time of a tick
     misses: int  # Number of lost slots
     own_misses: int  # Number of lost slots that are not attributed to the host
@@ -163,11 +165,12 @@ def judge_timing(
         targets=targets,
         slots=slots,
         ticks=len(records),
-        stages={name: Percentiles.of(records[f"{name}_ns"]) for name in STAGES},
+        stages={name: stage_time(records, name) for name in STAGES},
         tick=Percentiles.of(records["busy_ns"]),
         own_cost=Percentiles.of(records["busy_ns"] - records["bus_wait_ns"]),
         bus_wait=Percentiles.of(records["bus_wait_ns"]),
         lateness=Percentiles.of(records["lateness_ns"]),
+        slack=slack(records, targets.period_ns),
         host=HostTime.of(
             certain_ns,
             preempted_ticks=preempted,

@@ -25,6 +25,8 @@ CLOSE_M: Final = 0.010
 """Settling band around the rest position (the task's ±10 mm)."""
 REST_FRACTION: Final = 0.2
 """Final fraction of a move's rows whose mean is the rest position [assumed]."""
+APPROACH: Final = "approach"
+"""Part of a run before its motion: the way to the first goal, and the probing motion of a plan."""
 NO_ERRORS: Final = TipErrors(
     n=0, mean_euclidean_distance_m=None, rms_m=None, p95_m=None, max_m=None,
     interval_coverage=None, interval_coverage_least=None, in_range_fraction=None,
@@ -53,11 +55,12 @@ def predicted_tip_m(records: NDArray[np.void]) -> Array:
 
 
 def programme_part(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
-    """Name of the programme's part at each time, shape (n,)."""
+    """Name of the programme's part at each time, shape (n,); "approach" before its beginning."""
     ends_s = np.cumsum(list(programme.values()))
     # Half a microsecond covers the rounding of a slot's time, its number times the period.
-    part = np.searchsorted(ends_s, np.mod(time_s + 5e-7, ends_s[-1]), side="right")
-    return np.array([list(programme)[k] for k in part])
+    since_s = time_s + 5e-7
+    part = np.searchsorted(ends_s, np.mod(since_s, ends_s[-1]), side="right")
+    return np.where(since_s < 0, APPROACH, np.array(list(programme))[part])
 
 
 def prediction_error(
@@ -75,7 +78,8 @@ def prediction_error(
     if programme:
         stopping = records["state"] >= SafetyState.STOPPING
         part = programme_part(records["time_s"], programme)
-        parts |= {n: np.asarray(part == n) & ~stopping for n in programme} | {"stop": stopping}
+        names = (APPROACH, *programme)
+        parts |= {n: np.asarray(part == n) & ~stopping for n in names} | {"stop": stopping}
     by_part = {name: _errors(records, error_m, fresh & rows) for name, rows in parts.items()}
     return PredictionError(
         **msgspec.structs.asdict(_errors(records, error_m, fresh)),

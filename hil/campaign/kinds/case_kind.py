@@ -6,6 +6,7 @@ so put slow imports into the function.
 
 from __future__ import annotations
 
+import functools
 import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from msgspec import Meta
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS as MOTIONS
 from firmware_py.core.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, MotionConfig
+from hil.campaign.code_version import content_sha256
 from models.shared.catalogue import CATALOGUE
 
 KINDS: Final = {name: f"hil.campaign.kinds.{name}_kind" for name in ("sil", "fmu", "gap", "rig")}
@@ -125,3 +127,13 @@ def check_effects(effects: Iterable[str]) -> None:
     if unknown := sorted(set(effects) - set(CATALOGUE)):
         remedy = "choose from " + ", ".join(CATALOGUE)
         raise InputError(f"effects.{unknown[0]}", "is no effect", remedy)
+
+
+def load_once(load: Callable[[Path], Any], path: Path) -> Any:
+    """Load a file or directory of the cases once per worker, and again when its content changes."""
+    return _load(load, path, content_sha256(path))
+
+
+@functools.lru_cache(maxsize=8)
+def _load(load: Callable[[Path], Any], path: Path, sha256: str) -> Any:
+    return load(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from firmware_py.core.errors import InputError
-from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects
+from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects, load_once
 
 
 class RigOptions(MotionOptions, frozen=True, kw_only=True):
@@ -42,6 +41,7 @@ class RigOptions(MotionOptions, frozen=True, kw_only=True):
 def run_trial(options: RigOptions, scratch: Path) -> dict[str, Any]:
     from firmware_py.link.link_description import STUDY_LINK
     from models.plant.identification.evaluation import compare_with_trials
+    from models.plant.plant import read_plant  # loads CasADi
     from models.rig.protocol import TrialCase, run_case  # slow to import
     from models.shared.kinematics import rigid_tip_m
     from models.trials.deformation import deformation_index
@@ -68,7 +68,8 @@ def run_trial(options: RigOptions, scratch: Path) -> dict[str, Any]:
         "trial_sha256": columns_sha256(trial.columns),
     }
     if options.plant is not None:
-        comparison = compare_with_trials(_plant(options.plant), [trial])[0]
+        plant = load_once(read_plant, Path(options.plant))
+        comparison = compare_with_trials(plant, [trial])[0]
         result["plant_rms"] = {n: rms(comparison.error(n)) for n in comparison.simulated}
     return result
 
@@ -111,10 +112,3 @@ def columns_sha256(columns: Mapping[str, Any]) -> str:
     for name, column in sorted(columns.items()):
         digest.update(name.encode() + np.ascontiguousarray(column).tobytes())
     return digest.hexdigest()
-
-
-@functools.lru_cache(maxsize=8)
-def _plant(path: str) -> Any:
-    from models.plant.plant import read_plant  # loads CasADi
-
-    return read_plant(path)

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
+from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.errors import InputError
-from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects
+from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects, load_once
 from hil.campaign.kinds.rig_kind import rig_file
 from hil.emulator.line_faults import LINE_FAULTS
 
 if TYPE_CHECKING:
     from hil.sil import SilOptions
-
-FRESH: Final = ("ok", "retried", "alert")
-"""States of the bus in which a tick has fresh data (`firmware_py.bus.servo_bus.BusStatus`)."""
 
 
 class SilCaseOptions(MotionOptions, frozen=True, kw_only=True):
@@ -85,13 +81,14 @@ def run_in_software(case: SilCaseOptions, scratch: Path) -> dict[str, Any]:
     document = run_sil(_options(case, scratch)).timing
     if document.interrupted:  # an incomplete run is no result
         raise InputError("run", document.interrupted, "run the campaign again")
-    stale = sum(n for status, n in document.run.bus_faults.items() if status not in FRESH)
+    faults = document.run.bus_faults
+    stale = sum(n for name, n in faults.items() if not BusStatus[name.upper()].fresh)
     paths = [msgspec.to_builtins(error) for error in document.path_errors]
     result = {
         "ended": document.run.ended,
         "reason": document.run.reason,
         "ticks": document.ticks,
-        "bus_faults": document.run.bus_faults,
+        "bus_faults": faults,
         "stale_ticks": stale,
         "faults_injected": document.run.faults_injected,
         "prediction_error": msgspec.to_builtins(document.prediction_error),
@@ -134,13 +131,12 @@ KIND = CaseKind(
 )
 
 
-@functools.lru_cache(maxsize=64)
 def _twin_of(bundle: str, directory: Path) -> Path:
     from firmware_py.inference.bundle import read_manifest
     from hil.campaign.code_version import content_sha256
     from hil.emulator.physics import build_twin  # loads CasADi
 
-    dof, plant = read_manifest(Path(bundle)).dof, Path(bundle) / "plant.json"
+    dof, plant = load_once(read_manifest, Path(bundle)).dof, Path(bundle) / "plant.json"
     if not plant.is_file():
         raise InputError(plant, "is missing", "copy the whole bundle, or name a twin with fmu")
     place = directory / f"twin_{content_sha256(plant)[:16]}"
@@ -153,12 +149,6 @@ def _twin_of(bundle: str, directory: Path) -> Path:
     return path
 
 
-@functools.lru_cache(maxsize=8)
-def _cached(load: Callable[[Path], Any], path: Path) -> Any:
-    """Load a file once per worker, which has already checked the file's hash."""
-    return load(path)
-
-
 def _options(case: SilCaseOptions, out: Path) -> SilOptions:
     from firmware_py.bus.servo_models import model_named
     from firmware_py.goals.tip_plan import read_tip_plan
@@ -167,10 +157,10 @@ def _options(case: SilCaseOptions, out: Path) -> SilOptions:
     from hil.sil import SilOptions
     from hil.sil.sil_options import DERIVED, SHORTEST_DEFAULT_S
 
-    plan = _cached(read_tip_plan, Path(case.plan)) if case.plan else None
+    plan = load_once(read_tip_plan, Path(case.plan)) if case.plan else None
     rig = RigSource(case.effects, case.seed, case.rig, case.pressure_pa) if case.rig else None
     return SilOptions(
-        bundle=_cached(ModelBundle.load, Path(case.bundle)),
+        bundle=load_once(ModelBundle.load, Path(case.bundle)),
         model=model_named(case.model) if case.model else DERIVED,
         out=out,
         log=False,

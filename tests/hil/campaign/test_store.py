@@ -58,6 +58,8 @@ def test_a_worker_with_other_code_or_files_refuses(toys, tmp_path):
         outcome = run_case(msgspec.structs.replace(task, **change))
         assert outcome.state == "refused"
         assert sentence in outcome.sentence
+    path.write_text("as it is now")
+    assert "differs on the worker" in run_case(task).sentence
 
 
 @pytest.mark.parametrize("damage", ["cut", "edited", "another", "schema"])

@@ -171,7 +171,6 @@ def test_a_fault_of_the_process_ends_as_its_row_says(toy_bundle, tmp_path, fault
         assert not run.live
         if fault == "SIGKILL in motion":
             assert (run.ended, run.unheard_ns) == ("killed", 60_000_000)
-            assert "watchdog stopped it" in run.told
         if judged.verdict in ("pass", "inconclusive"):
             return
         deviations.append(judged.deviations)

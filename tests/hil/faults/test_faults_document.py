@@ -27,7 +27,7 @@ PRO_A = 54025
     [
         ({"unheard_ns": 60_000_001}, "without supervision"),
         ({"live": True}, "still drives"),
-        ({"ended": "refused", "told": "goals along the motion"}, "although it was refused"),
+        ({"ended": "refused", "driven": True}, "although it was refused"),
         ({"live": True, "watched": False, "ended": "killed", "drift_rad": 0.201}, "it moved"),
         ({"goal_jump_rad": 2.1e-3}, "a goal jumped"),
         ({"stale_as_fresh": 1}, "old data"),

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from firmware_py.core.errors import InputError
 from hil.sil import probe
 from models.shared.c_compiler import compile_library
 
@@ -67,3 +68,9 @@ def test_a_neighbour_that_has_ended_does_no_harm(watch):
     os.close(reading)
     os.close(writing)
     assert len(rows) == 5 and (rows[:, 2] > 0).all()
+
+
+def test_a_probe_that_cannot_start_is_reported_in_one_sentence():
+    no_process = 2**22 + 1  # above the kernel's largest
+    with pytest.raises(InputError, match="probe on processor 0: did not start"):
+        probe.Probe(0, (no_process,))

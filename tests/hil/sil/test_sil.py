@@ -149,7 +149,8 @@ def test_a_run_leaves_log_trial_and_verdict(options):
     np.testing.assert_array_equal(log.columns["angle_2_rad"], result.records["angle_2_rad"])
     trial = read_trial(chosen.out / "trial" / "sil.csv")
     fresh = result.records["stale_ticks"] == 0
-    np.testing.assert_array_equal(trial.angle_rad[fresh, 0], result.records["angle_1_rad"][fresh])
+    motion = result.records[fresh & (result.records["tick"] >= 0)]
+    np.testing.assert_array_equal(trial.angle_rad[motion["tick"], 0], motion["angle_1_rad"])
     assert trial.meta.phase_2_rad == pytest.approx(math.pi / 2)
     assert np.isnan(trial.markers_m).all()
     assert "interpolated" in trial.meta.notes
@@ -255,16 +256,16 @@ def test_prediction_error_takes_fresh_ticks_only():
 
 
 def test_the_prediction_error_is_split_by_range_and_part_of_the_programme():
-    records = np.zeros(6, tick_dtype(1))
-    records["time_s"] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    records["deadline_ns"], records["busy_ns"] = np.arange(6) * 100, 50
-    records["in_range"] = (1, 1, 1, 0, 1, 1)
-    records["state"][5] = SafetyState.STOPPING
-    true_m = np.zeros((6, 3))
-    true_m[:, 1] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    truth = Truth(np.arange(6) * 100 + 10, true_m)
+    records = np.zeros(7, tick_dtype(1))
+    records["time_s"] = [-1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    records["deadline_ns"], records["busy_ns"] = np.arange(7) * 100, 50
+    records["in_range"] = (1, 1, 1, 1, 0, 1, 1)
+    records["state"][6] = SafetyState.STOPPING
+    true_m = np.zeros((7, 3))
+    true_m[:, 1] = [0.7, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    truth = Truth(np.arange(7) * 100 + 10, true_m)
     parts = prediction_error(records, truth, {"rest": 1.0, "motion": 2.0, "glide": 1.0}).parts
-    expected = {"in_range": 0.34, "out_of_range": 0.4, "rest": 0.3, "motion": 0.25,
+    expected = {"in_range": 0.4, "out_of_range": 0.4, "approach": 0.7, "rest": 0.3, "motion": 0.25,
                 "glide": 0.4, "stop": 0.6}  # fmt: skip
     assert {k: v.mean_euclidean_distance_m for k, v in parts.items()} == pytest.approx(expected)
 

@@ -37,7 +37,7 @@ from models.plan.plan import PlanRequest, plan_path
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trial
 from tests.firmware_py.goals.scripted_program import linear_map, swinging
-from tests.hil.sil.test_sil import RigidPredictor
+from tests.hil.sil.test_sil import Interrupter, RigidPredictor
 
 PAYLOAD_KG = 0.8
 
@@ -266,9 +266,26 @@ def test_the_probing_motion_precedes_the_plan_and_measures_the_payload(probing, 
     assert records["payload_kg"][-1] == observer.assumed[1]
     errors = result.timing.path_errors
     assert [e.rows for e in errors] == [plan.rows], "the rows of the probe are not on the path"
+    approach = result.timing.prediction_error.parts["approach"]
+    assert approach.n == np.count_nonzero(records["tick"] < 0)
+    trial = result.trial()
+    at_rest = trial.goal_rad[: trial.meta.rest_samples]
+    assert len(at_rest) == round(plan.rest_s / PERIOD_S) and np.ptp(at_rest) < 1e-4
     log = read_recording(tmp_path / LOG_NAME)
     assert max(compare(log, chosen.bundle).values()) < 1e-12
     assert read_plan_run(tmp_path / LOG_NAME, plan).source == "observer"
+
+
+def test_a_run_that_ended_in_its_probing_motion_is_no_trial(probing, bundle, tmp_path):
+    predictor = Interrupter(10)
+    predictor.wanted = UnbentPredictor.wanted
+    observed = with_observer(bundle, Converging())
+    result = run_sil(probing(bundle=dataclasses.replace(observed, predictor=predictor)))
+    assert len(result.records) and np.all(result.records["tick"] < 0)
+    result.write()
+    assert not (tmp_path / "trial").exists()
+    with pytest.raises(InputError, match="ended before its motion"):
+        result.trial()
 
 
 def test_a_robot_without_feedback_does_not_probe(probing, tmp_path):
