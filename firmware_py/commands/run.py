@@ -204,8 +204,6 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
     if args.motion is not None:
         motion = motion.with_motion(args.motion)
     if args.amplitude_deg is not None:
-        if motion.design is not None:
-            raise InputError("--amplitude-deg", "is given beside a motion file", "leave one out")
         motion = msgspec.structs.replace(motion, amplitude_rad=math.radians(args.amplitude_deg))
     config = msgspec.structs.replace(config, motion=motion)
     if args.open_loop:

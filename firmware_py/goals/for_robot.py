@@ -64,7 +64,7 @@ def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelB
 def goals_of_motion(config: RobotConfig, *, repeated: bool) -> RunGoals:
     """Return the goals of the configured motion, which run once or are repeated."""
     table = GoalTable(config.goals_rad(repeated=repeated))
-    return RunGoals(table, config.motion.motion(config.dof).name, {})
+    return RunGoals(table, config.motion.kind, {})
 
 
 def goals_of_plan(

@@ -195,10 +195,7 @@ def goal_message():
     return encode_goal(GoalMessage(3, (0.1,)))
 
 
-MOTION = (
-    b"schema = 1\nduration_s = 10.0\nharmonics = [1, 2, 5]\n[[joints]]\n"
-    b"sine_rad = [0.2, -0.1, 0.02]\ncosine_rad = [0.1, 0.0, 0.01]\n"
-)
+MOTION = b'schema = 1\nkind = "triangle"\namplitude_rad = 0.2\nperiod_s = 3.0\npayload_kg = 1.0\n'
 PATH = b"time_s,x_m,y_m\n0,0,0\n0.5,0.1,0\n1.0,0.1,0.1\n1.5,0,0\n"
 CAMPAIGN = b"""kind = "sil"
 draws = 3
