@@ -47,7 +47,7 @@ from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.range_check import RangeWatch
-from firmware_py.link.link_facts import facts_of_bundle
+from firmware_py.link.link_facts import facts_of_plant
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SLOTS_KEY
 from firmware_py.log.telemetry import Telemetry
@@ -246,7 +246,7 @@ def _free_log(directory: Path, name: str) -> Path:
 
 def _unlike(config: RobotConfig, bundle: ModelBundle) -> Iterator[str]:
     """Yield a sentence for every servo, and the period, that are not those of the bundle."""
-    period_s, facts = bundle.manifest.period_s, facts_of_bundle(bundle.directory)
+    period_s, facts = bundle.manifest.period_s, facts_of_plant(bundle.plant)
     if not math.isclose(config.period_s, period_s):
         yield (
             f"the bundle was trained at {DURATION.text(period_s)}, this robot runs at "
