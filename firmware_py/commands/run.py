@@ -196,6 +196,8 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         raise InputError("--goals", "is given beside a plan or a motion", "leave one out")
     if args.goal_map is not None and args.goals is None:
         raise InputError("--goal-map", "is given without --goals", "leave it out")
+    if args.open_loop and args.plan is None:
+        raise InputError("--open-loop", "is given without --plan", "leave it out")
     if args.log is not None and not config.record:
         raise InputError("--log", "is given, but record = false", "set record = true in the file")
     if args.log is not None:
