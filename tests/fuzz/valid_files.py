@@ -18,8 +18,9 @@ from firmware_py.config import RobotConfig
 from firmware_py.core.signals import PERIOD_S, tick_dtype
 from firmware_py.goals.goal_channel import GoalMessage, encode_goal
 from firmware_py.inference.manifest import MANIFEST
-from firmware_py.link.link_description import STUDY_LINK, link_toml
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.log.sinks import TickEncoder
+from models.commands.new import link_toml
 from models.commands.sign import SIGNATURE, sign_bundle
 from tests.firmware_py.goals.scripted_program import linear_map
 from tests.firmware_py.goals.small_plan import small_plan

@@ -14,11 +14,11 @@ from firmware_py.link.link_description import (
     LinkGravity,
     LinkServo,
     check_link,
-    link_toml,
     read_link,
 )
 from firmware_py.link.link_facts import STUDY_FACTS, facts_of_plant, other_link
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
+from models.commands.new import link_toml
 from models.plant.plant import read_plant
 
 SMALL = LinkDescription(
