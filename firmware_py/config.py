@@ -132,7 +132,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if repeated:
             times_s = motion.duration_s + np.arange(round(GLIDE_S / self.period_s)) * self.period_s
             goals = np.concatenate([goals, motion.goal_rad(times_s)])
-        check_motion(goals, self.limits_in_force, self.period_s, f"motion {motion.name}")
+        check_motion(goals, self.limits_in_force, self.period_s, f"motion {motion.kind}")
         return goals
 
 
@@ -141,8 +141,6 @@ def read_config(path: Path | str) -> RobotConfig:
     document = read_toml(path, "copy the commented robot.toml and adapt it")
     config = convert(document, RobotConfig, path, "", "see the commented robot.toml for every key")
     if config.motion.file is not None:
-        if config.motion.design is not None:
-            raise InputError(path, "motion.file and motion.design are given", "leave one out")
         motion = config.motion.with_file(path.parent / config.motion.file)
         config = msgspec.structs.replace(config, motion=motion)
     if config.link:

@@ -40,7 +40,7 @@ from firmware_py.system.clock import Clock
 from firmware_py.system.kernel_counters import Counters
 from firmware_py.system.service import Service
 from firmware_py.system.stop_signals import signals_to
-from firmware_py.tick_log import LONGEST_STEP_SLOTS, AwayTicks, Tick, TickLog
+from firmware_py.tick_log import LONGEST_STEP_SLOTS, Tick, TickLog
 
 _START_DELAY_NS: Final = 2_000_000
 _REPLUG_POLL_NS: Final = 50_000_000
@@ -97,7 +97,7 @@ class ControlLoop:
         self._start_ns: int | None = None
         self._bus_status = BusStatus.OK
         self._replugs = 0
-        self._away = AwayTicks()
+        self._rejoining, self._ran_slot, self._away_ticks = False, -1, 0
 
     def stop(self, reason: str) -> None:
         """Request a controlled stop, also from a signal handler or another thread."""
@@ -168,7 +168,7 @@ class ControlLoop:
         self._get_ready()
         self._supervisor.resume(self._ahead())
         self._replugs += 1
-        self._away.leave()
+        self._rejoining = True
         return True
 
     def _run_slots(self) -> None:
@@ -188,10 +188,18 @@ class ControlLoop:
                 continue
             clock.sleep_until(deadline_ns)
             end_ns = self._tick(slot, deadline_ns)
-            running = self._supervisor.state < SafetyState.STOPPING
-            self._away.note(slot, running=running, following=self._supervisor.following)
+            if slot >= 0 and self._supervisor.state < SafetyState.STOPPING:
+                self._count_away(slot)
             # Continue with the first slot that has not begun; missed slots are skipped.
             slot = max(slot + 1, -((start_ns - end_ns) // period_ns))
+
+    def _count_away(self, slot: int) -> None:
+        """After a replug, count the slots until the goals have joined the motion again."""
+        if self._rejoining:
+            following = self._supervisor.following
+            self._away_ticks += slot - self._ran_slot - following
+            self._rejoining = not following
+        self._ran_slot = slot
 
     def _ahead(self) -> Iterator[NDArray[np.float64]]:
         """Yield the goals from the next slot on; none if another program sends them."""
@@ -279,8 +287,8 @@ class ControlLoop:
         supervisor, log = self._supervisor, self._log
         supervisor.conclude(self._bus.alert, released=released)
         reason = supervisor.reason
-        if self._away.count:
-            reason += f"; for {self._away.count} ticks the goals were not those of the motion"
+        if self._away_ticks:
+            reason += f"; for {self._away_ticks} ticks the goals were not those of the motion"
         return RunSummary(
             ended=Ended.TRIPPED if supervisor.faults else self._ended,
             reason=reason,

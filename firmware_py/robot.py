@@ -43,7 +43,7 @@ from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import refuse_older
 from firmware_py.inference.estimator import DeformationEstimator, NoEstimator
 from firmware_py.inference.predictor import NoPredictor, Predictor
-from firmware_py.log.scene import SHAPE_KEY, shape_of_bundle
+from firmware_py.log.scene import SHAPE_KEY, shape_of_plant
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.safety.supervisor import SafetySupervisor
@@ -186,7 +186,7 @@ def log_metadata(
     started: datetime,
     settings: Sequence[Mapping[str, int]] = (),
 ) -> dict[str, str]:
-    shape = shape_of_bundle(bundle.directory)
+    shape = shape_of_plant(bundle.plant)
     drawn = {SHAPE_KEY: msgspec.json.encode(shape).decode()} if shape else {}
     return drawn | {
         "started_utc": started.isoformat(),

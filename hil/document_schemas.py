@@ -20,7 +20,7 @@ from typing import Final
 import msgspec
 
 from firmware_py.core.documents import Document
-from firmware_py.core.motion import FixedMotionDocument, MotionDocument
+from firmware_py.core.motion import MotionDocument
 from firmware_py.goals.goal_map import GoalMap
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle_signature import BundleSignature, NewestBundle
@@ -46,7 +46,6 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "faults": FaultsDocument,
     "gap": GapDocument,
     "goalmap": GoalMap,
-    "fixed_motion": FixedMotionDocument,
     "motion": MotionDocument,
     "plan": TipPlan,
     "plant": PlantDocument,

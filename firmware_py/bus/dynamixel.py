@@ -74,7 +74,6 @@ class DynamixelBus:
         self.angle_rad = np.zeros(self.dof)
         self.current_a = np.zeros(self.dof)
         self.alert = 0
-        self.firmware_versions: tuple[int, ...] = ()
         self._servos, self._clock = tuple(servos), clock
         self._port = DeadlinePort(transport, clock)
         self._registers = RegisterAccess(self._port, clock)
@@ -146,7 +145,8 @@ class DynamixelBus:
     def connect(self) -> None:
         """Check and prepare every servo, torque off, and choose the plan of the reads."""
         self.alert, self._driving = 0, False
-        self.firmware_versions = tuple(map(self._preparation.prepare, self._servos))
+        for servo in self._servos:
+            self._preparation.prepare(servo)
         if (status := self._choose_plan()) > BusStatus.RETRIED:
             raise self._preparation.unfit(
                 f"first measurement failed ({status.name})", "check the cabling"

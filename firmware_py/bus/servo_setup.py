@@ -75,8 +75,8 @@ class ServoPreparation:
     def __init__(self, registers: RegisterAccess, name: str, return_delay_s: float | None) -> None:
         self._registers, self._name, self._return_delay_s = registers, name, return_delay_s
 
-    def prepare(self, servo: ServoSetup) -> int:
-        """Check and prepare one servo, torque off; return its firmware version."""
+    def prepare(self, servo: ServoSetup) -> None:
+        """Check and prepare one servo, torque off."""
         table = servo.model.table
         self._identify(servo)
         self._set(servo, Register.TORQUE_ENABLE, 0)
@@ -106,7 +106,6 @@ class ServoPreparation:
                 self._set(servo, Register.RETURN_DELAY, delay)
         self._check_settings(servo)
         self._remove_profile(servo)
-        return self._get(servo, Register.FIRMWARE_VERSION)
 
     def read_settings(self, servo: ServoSetup) -> dict[str, int]:
         """Return the settings that the plant depends on, as raw values by name of the register."""

@@ -47,7 +47,7 @@ from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.range_check import RangeWatch
-from firmware_py.link.link_facts import facts_of_bundle
+from firmware_py.link.link_facts import facts_of_plant
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SLOTS_KEY
 from firmware_py.log.telemetry import Telemetry
@@ -196,6 +196,8 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         raise InputError("--goals", "is given beside a plan or a motion", "leave one out")
     if args.goal_map is not None and args.goals is None:
         raise InputError("--goal-map", "is given without --goals", "leave it out")
+    if args.open_loop and args.plan is None:
+        raise InputError("--open-loop", "is given without --plan", "leave it out")
     if args.log is not None and not config.record:
         raise InputError("--log", "is given, but record = false", "set record = true in the file")
     if args.log is not None:
@@ -204,8 +206,6 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
     if args.motion is not None:
         motion = motion.with_motion(args.motion)
     if args.amplitude_deg is not None:
-        if motion.design is not None:
-            raise InputError("--amplitude-deg", "is given beside a motion file", "leave one out")
         motion = msgspec.structs.replace(motion, amplitude_rad=math.radians(args.amplitude_deg))
     config = msgspec.structs.replace(config, motion=motion)
     if args.open_loop:
@@ -248,7 +248,7 @@ def _free_log(directory: Path, name: str) -> Path:
 
 def _unlike(config: RobotConfig, bundle: ModelBundle) -> Iterator[str]:
     """Yield a sentence for every servo, and the period, that are not those of the bundle."""
-    period_s, facts = bundle.manifest.period_s, facts_of_bundle(bundle.directory)
+    period_s, facts = bundle.manifest.period_s, facts_of_plant(bundle.plant)
     if not math.isclose(config.period_s, period_s):
         yield (
             f"the bundle was trained at {DURATION.text(period_s)}, this robot runs at "

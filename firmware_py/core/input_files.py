@@ -222,7 +222,11 @@ def check_json(path: Path | str, data: bytes, remedy: str) -> None:
 
 
 def read_json(path: Path | str, remedy: str, most: int = MOST_JSON_BYTES) -> Any:
-    data = read_bytes(path, remedy, most)
+    return decode_json(path, read_bytes(path, remedy, most), remedy)
+
+
+def decode_json(path: Path | str, data: bytes, remedy: str) -> Any:
+    """Decode the content of a JSON file, which `path` names in messages."""
     check_json(path, data, remedy)
     try:
         with limited_memory(path, remedy):

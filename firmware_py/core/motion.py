@@ -10,28 +10,13 @@ multisine    several harmonics at once, different ones for each joint; slower on
 triangle     one slow cycle at constant speed, four periods long: hysteresis without inertia
 steps        lean, hold, lean, hold: creep
 decay        lean, then step back by a fifth of the lean and hold: free vibration
-designed     a Fourier series from a file
 ============ ====================================================================================
 
-A motion file names a kind with its amplitude and period (`FixedMotionDocument`), or it holds a
-Fourier series of each joint (`MotionDocument`). The goal of a joint is then
-w(t) Σ (a_k sin(2π h_k t / T) + b_k cos(2π h_k t / T)): h_k are the harmonics, T is the duration,
-and the window w eases in and out, so that the motion begins and ends at rest at zero. Series of few
-harmonics are the usual form of motions that excite a robot (Swevers et al., IEEE Trans. Robotics
-and Automation 13, 1997)::
-
-    schema = 1
-    duration_s = 10.0
-    harmonics = [1, 2, 5]                  # cycles in the duration; 0 is a constant lean
-
-    [[joints]]
-    sine_rad = [0.2, -0.1, 0.02]
-    cosine_rad = [0.1, 0.0, 0.01]
+A motion file names a kind with its amplitude and period (`MotionDocument`).
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,100 +33,8 @@ from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
 
 Array = NDArray[np.float64]
-FADE_FRACTION: Final = 0.1
-"""Fraction of the duration for easing in, and for easing out; that of the multisine."""
-HIGHEST_FREQUENCY_HZ: Final = 10.0
-"""Highest frequency of a harmonic: six samples a cycle at the nominal period [assumed]."""
-_CORRECT: Final = "correct it after docs/gap/experiment.md"
-
-
-class JointSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Coefficients of one joint, one per harmonic, in rad."""
-
-    sine_rad: tuple[float, ...]
-    cosine_rad: tuple[float, ...]
-
-
-class MotionDocument(Document, frozen=True):
-    """Content of a motion file; the module's text defines the series."""
-
-    VERSION: ClassVar[int] = 1
-    MADE_BY: ClassVar[str] = "dropstitch experiment"
-
-    duration_s: float
-    harmonics: tuple[int, ...]  # Cycles per duration; 0 is a constant lean
-    joints: tuple[JointSeries, ...]  # Coefficients of one or two joints, in joint order
-    payload_kg: float | None = None  # Payload to attach for the run
-    notes: str = ""
-
-    @property
-    def name(self) -> str:
-        """Name of the motion in trials and logs, derived from its series alone."""
-        text = msgspec.json.encode((self.duration_s, self.harmonics, self.joints))
-        return f"designed-{hashlib.sha256(text).hexdigest()[:8]}"
-
-    @property
-    def amplitude_rad(self) -> float:
-        fine_s = np.linspace(0.0, self.duration_s, 4097)
-        return float(np.max(np.abs(self.goal_rad(fine_s))))
-
-    def goal_rad(self, time_s: Array) -> Array:
-        """Return goals at times of shape (...), shape (..., joints); zero outside the motion."""
-        basis = fourier_basis(time_s, self.duration_s, self.harmonics)
-        weights = np.array([[*j.sine_rad, *j.cosine_rad] for j in self.joints])
-        return np.asarray(basis @ weights.T)
-
-
-def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) -> Array:
-    """Return windowed sines and cosines of a series at times of shape (...).
-
-    Returns shape (..., 2 h) for h harmonics, sines first.
-    """
-    fraction = np.clip(np.asarray(time_s, dtype=np.float64) / duration_s, 0.0, 1.0)
-    ramp = np.minimum(fraction, 1.0 - fraction) / FADE_FRACTION
-    window = 0.5 - 0.5 * np.cos(np.pi * np.minimum(ramp, 1.0))
-    turn = 2.0 * np.pi * fraction[..., None] * np.array(harmonics, dtype=np.float64)
-    return np.asarray(window[..., None] * np.concatenate([np.sin(turn), np.cos(turn)], axis=-1))
-
-
-def read_motion_document(path: Path | str) -> MotionDocument:
-    path = Path(path)
-    raw = read_toml(path, _CORRECT, _CORRECT)
-    check_version(path, raw, MotionDocument.VERSION, _CORRECT)
-    document = convert(raw, MotionDocument, path, "is no motion", _CORRECT)
-    check_motion_document(document, path)
-    return document
-
-
-def check_motion_document(document: MotionDocument, where: Path | str) -> None:
-    """Refuse values of a series that are out of range or do not fit together."""
-    count = len(document.harmonics)
-    coefficients = [c for j in document.joints for c in (*j.sine_rad, *j.cosine_rad)]
-    payload_kg = 0.0 if document.payload_kg is None else document.payload_kg
-    wrong = ""
-    if len(document.joints) not in (1, 2):
-        wrong = f"is for {len(document.joints)} joints; 1 or 2 can move"
-    elif not 0.1 <= document.duration_s <= 600:
-        wrong = f"lasts {document.duration_s:g} s, outside 0.1 to 600 s"
-    elif not count or len(set(document.harmonics)) < count or min(document.harmonics) < 0:
-        wrong = "needs harmonics that differ and are not negative"
-    elif max(document.harmonics) > HIGHEST_FREQUENCY_HZ * document.duration_s:
-        wrong = f"has a harmonic above {HIGHEST_FREQUENCY_HZ:g} Hz"
-    elif any(len(s) != count for j in document.joints for s in (j.sine_rad, j.cosine_rad)):
-        wrong = f"needs {count} coefficients in each list of a joint, one per harmonic"
-    elif not np.isfinite(coefficients).all():
-        wrong = "has a coefficient that is not finite"
-    elif not 0 <= payload_kg <= 100:
-        wrong = f"has a payload of {payload_kg:g} kg, outside 0 to 100 kg"
-    elif document.amplitude_rad > np.pi / 2:
-        wrong = f"reaches {document.amplitude_rad:.3g} rad, more than 1.57 rad"
-    if wrong:
-        raise InputError(where, wrong, _CORRECT)
-
-
 Kind = Literal["sinusoid", "multisine", "triangle", "steps", "decay"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-"""Kinds of motion that have a name; `Motion.designed` makes others."""
 STUDY_PERIOD_S: Final = 256 * PERIOD_S
 """One cycle of the study: 256 steps of 17 ms (the study, section IV-A; docs/sources.md)."""
 STUDY_AMPLITUDE_RAD: Final = float(np.radians(30.0))
@@ -170,7 +63,7 @@ class Motion:
 
     Attributes
     ----------
-    kind : {"sinusoid", "multisine", "triangle", "steps", "decay", "designed"}
+    kind : {"sinusoid", "multisine", "triangle", "steps", "decay"}
         Kind of motion, see the module's table.
     amplitude_rad : float
         Largest goal of each joint, in rad.
@@ -181,9 +74,6 @@ class Motion:
         at zero, because it is faded in during half a period.
     dof : int
         Number of joints, 1 or 2.
-    design : MotionDocument or None
-        Fourier series of a designed motion, see `Motion.designed`; it determines all other
-        parameters.
 
     Raises
     ------
@@ -198,45 +88,14 @@ class Motion:
     (1, 0.52)
     """
 
-    kind: Kind | Literal["designed"] = "sinusoid"
+    kind: Kind = "sinusoid"
     amplitude_rad: float = STUDY_AMPLITUDE_RAD
     period_s: float = STUDY_PERIOD_S
     phase_2_rad: float = 0.0
     dof: int = 1
-    design: MotionDocument | None = None
-
-    @classmethod
-    def designed(cls, design: MotionDocument) -> Motion:
-        """Return the motion of a document.
-
-        Parameters
-        ----------
-        design : MotionDocument
-            Fourier series of each joint.
-
-        Returns
-        -------
-        Motion
-            Motion whose period is the duration of the series, and whose amplitude is its largest
-            goal.
-
-        Raises
-        ------
-        InputError
-            If a value of the document is out of range.
-        """
-        check_motion_document(design, "motion")
-        return cls(
-            "designed", design.amplitude_rad, design.duration_s, 0.0, len(design.joints), design
-        )
-
-    @property
-    def name(self) -> str:
-        """Name in trials and logs: the kind, or the name of the design."""
-        return self.kind if self.design is None else self.design.name
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS and self.design is None:
+        if self.kind not in KINDS:
             raise InputError("motion", f"{self.kind!r} is unknown", "choose " + ", ".join(KINDS))
         if self.dof not in (1, 2):
             raise InputError("dof", f"is {self.dof}", "choose 1 or 2")
@@ -252,7 +111,7 @@ class Motion:
     @property
     def duration_s(self) -> float:
         """Time from the start to the last goal in s, without the return to zero."""
-        return self.period_s if self.kind == "designed" else _PERIODS[self.kind] * self.period_s
+        return _PERIODS[self.kind] * self.period_s
 
     def goal_rad(self, time_s: ArrayLike) -> Array:
         """Return the goals at given times.
@@ -279,8 +138,6 @@ class Motion:
         array([0.])
         """
         time_s = np.asarray(time_s, dtype=np.float64)
-        if self.design is not None:
-            return self.design.goal_rad(time_s) + 0.0
         last_s = self.duration_s + (GLIDE_S if self.kind in _RUNS_ON else 0.0)
         clipped_s = np.clip(time_s, 0.0, last_s)
         fade = 1.0 - _ease((time_s - self.duration_s) / GLIDE_S)
@@ -390,11 +247,8 @@ _WAVES: Final[dict[str, tuple[Callable[[Array], Array], int]]] = {
 """Shape over one turn, which starts and ends at zero, and the number of turns in the motion."""
 
 
-_MAKE: Final = "write it anew with dropstitch experiment"
-
-
-class FixedMotionDocument(Document, frozen=True):
-    """Motion file with a kind of motion: its keys stand for those of the table `[motion]`."""
+class MotionDocument(Document, frozen=True):
+    """Motion file: a kind of motion, whose keys stand for those of the table `[motion]`."""
 
     MADE_BY: ClassVar[str] = "dropstitch experiment"
 
@@ -404,6 +258,21 @@ class FixedMotionDocument(Document, frozen=True):
     phase_2_rad: float = 0.0
     payload_kg: float | None = None  # Payload to attach for the run
     notes: str = ""
+
+
+_MAKE: Final = f"write it anew with {MotionDocument.MADE_BY}"
+
+
+def read_motion_document(path: Path | str) -> MotionDocument:
+    path = Path(path)
+    raw = read_toml(path, _MAKE, _MAKE)
+    check_version(path, raw, MotionDocument.VERSION, _MAKE)
+    document = convert(raw, MotionDocument, path, "is no motion", _MAKE)
+    try:
+        Motion(document.kind, document.amplitude_rad, document.period_s, document.phase_2_rad)
+    except InputError as error:
+        raise InputError(path, f"its {error.where} {error.what}", error.remedy) from None
+    return document
 
 
 class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -416,24 +285,14 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     rest_s: float = 1.0  # Rest before the motion, the reference of the Deformation Index
     # Motion file, relative to robot.toml, instead of kind, amplitude, period and phase
     file: str | None = None
-    design: MotionDocument | None = None  # Fourier series of the motion file
 
     def motion(self, dof: int) -> Motion:
-        if self.design is None:
-            return Motion(self.kind, self.amplitude_rad, self.period_s, self.phase_2_rad, dof)
-        if len(self.design.joints) != dof:
-            raise InputError(
-                f"motion {self.design.name}",
-                f"has {len(self.design.joints)} joints, the robot {dof}",
-                "give one for this robot",
-            )
-        return Motion.designed(self.design)
+        return Motion(self.kind, self.amplitude_rad, self.period_s, self.phase_2_rad, dof)
 
     def with_motion(self, wanted: str) -> MotionConfig:
         """Return the table for another motion: the name of a kind, or the path of a motion file."""
         if wanted in KINDS:
-            kind = msgspec.convert(wanted, Kind)
-            return msgspec.structs.replace(self, kind=kind, file=None, design=None)
+            return msgspec.structs.replace(self, kind=msgspec.convert(wanted, Kind), file=None)
         if not Path(wanted).exists():
             raise InputError(
                 f"motion {wanted}", "is no kind of motion and no file",
@@ -442,19 +301,8 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return self.with_file(Path(wanted))
 
     def with_file(self, path: Path) -> MotionConfig:
-        """Return the table for a motion file: of a kind of motion, or of a Fourier series."""
-        raw = read_toml(path, _MAKE, _MAKE)
-        if "kind" not in raw:
-            series = read_motion_document(path)
-            return msgspec.structs.replace(self, file=str(path), design=series)
-        check_version(path, raw, FixedMotionDocument.VERSION, _MAKE)
-        document = convert(raw, FixedMotionDocument, path, "is no motion", _MAKE)
-        motion = msgspec.structs.replace(
+        document = read_motion_document(path)
+        return msgspec.structs.replace(
             self, kind=document.kind, amplitude_rad=document.amplitude_rad,
-            period_s=document.period_s, phase_2_rad=document.phase_2_rad, file=None, design=None,
+            period_s=document.period_s, phase_2_rad=document.phase_2_rad, file=None,
         )  # fmt: skip
-        try:
-            motion.motion(1)
-        except InputError as error:
-            raise InputError(path, f"its {error.where} {error.what}", error.remedy) from None
-        return motion

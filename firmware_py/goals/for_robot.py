@@ -21,7 +21,7 @@ from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
 from firmware_py.goals.tip_feedback import Correction, TipFeedback
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.link.link_facts import LinkFacts, facts_of_bundle, other_link
+from firmware_py.link.link_facts import LinkFacts, facts_of_plant, other_link
 from firmware_py.log.recording import OUTSIDE
 
 
@@ -48,7 +48,7 @@ def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelB
     theirs = bundle.manifest.plant_sha256
     if not theirs or plant_sha256 == theirs:
         return ""
-    facts = facts_of_bundle(bundle.directory)
+    facts = facts_of_plant(bundle.plant)
     if facts is not None and (fact := other_link(link, facts)):
         raise InputError(
             where, f"was made for another link than that of {bundle.directory}: {fact}",
@@ -64,7 +64,7 @@ def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelB
 def goals_of_motion(config: RobotConfig, *, repeated: bool) -> RunGoals:
     """Return the goals of the configured motion, which run once or are repeated."""
     table = GoalTable(config.goals_rad(repeated=repeated))
-    return RunGoals(table, config.motion.motion(config.dof).name, {})
+    return RunGoals(table, config.motion.kind, {})
 
 
 def goals_of_plan(

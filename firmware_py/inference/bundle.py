@@ -22,10 +22,10 @@ runs on the robot PC**.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from numpy.typing import ArrayLike
 
@@ -97,6 +97,8 @@ class ModelBundle:
         Graph that predicts from angle, current and DI alone; None if the bundle has none.
     ranges : tuple of InputRange
         Ranges of the predictor's inputs, from its graph.
+    plant : mapping of str to object
+        Contents of `plant.json`; empty if the bundle has none.
 
     Examples
     --------
@@ -116,6 +118,7 @@ class ModelBundle:
     signature: BundleSignature | None = None
     memoryless: FileContent | None = None
     ranges: tuple[InputRange, ...] = ()
+    plant: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         manifest = self.manifest
@@ -249,7 +252,7 @@ class ModelBundle:
             files.directory, manifest, compiled or estimator, compiled or predictor,
             files.manifest_sha256, files.signature,
             files.contents.get(POLYNOMIAL) or (None if predictor.wanted else files.file(PREDICTOR)),
-            predictor.ranges,
+            predictor.ranges, files.plant(),
         )  # fmt: skip
 
 

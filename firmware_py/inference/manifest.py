@@ -14,15 +14,16 @@ import msgspec
 from firmware_py.bus.servo_models import ServoGains
 from firmware_py.core.documents import check_version
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import FileContent, content_of
+from firmware_py.core.input_files import FileContent, content_of, decode_json
 from firmware_py.core.output_files import replacing
 from firmware_py.inference.bundle_signature import SIGNATURE, BundleSignature, check_signature
 
 SCHEMA: Final = 1
 MANIFEST: Final = "manifest.json"
+PLANT: Final = "plant.json"
 FILES: Final = frozenset(
     {
-        "predictor.onnx", "polynomial.onnx", "lagged.onnx", "observer.fmu", "plant.json",
+        "predictor.onnx", "polynomial.onnx", "lagged.onnx", "observer.fmu", PLANT,
         "study.json", "predictors.json", "golden.npz", "MODEL_CARD.md",
     }
 )  # fmt: skip
@@ -87,6 +88,14 @@ class BundleFiles:
                 self.directory / MANIFEST, f"names no {name}", "copy or train the bundle again"
             )
         return self.contents[name]
+
+    def plant(self) -> dict[str, Any]:
+        """Decode `plant.json`; empty if the bundle has none, or if it is no JSON object."""
+        if PLANT not in self.contents:
+            return {}
+        path, data = self.contents[PLANT]
+        plant = decode_json(path, data, "copy or train the bundle again")
+        return plant if isinstance(plant, dict) else {}
 
 
 def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> BundleFiles:

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from firmware_py.core.input_files import read_json
 from firmware_py.link.link_description import STANDARD_GRAVITY_M_S2, STUDY_LINK, LinkDescription
 
-PLANT: Final = "plant.json"
 _SAME: Final = 1e-6
 """Relative or absolute tolerance for the comparison of two numbers [assumed]."""
 
@@ -58,15 +55,6 @@ def facts_of_plant(plant: Mapping[str, Any]) -> LinkFacts | None:
         base_offset_m=value["base_offset_m"], section=link.section, gravity_m_s2=(x, y, z),
         servo=link.servo.model,
     )  # fmt: skip
-
-
-def facts_of_bundle(directory: Path) -> LinkFacts | None:
-    """Return the facts of a bundle's link; None if the bundle has no plant or that lacks them."""
-    path = directory / PLANT
-    if not path.is_file():
-        return None
-    plant = read_json(path, "copy or train the bundle again")
-    return facts_of_plant(plant) if isinstance(plant, dict) else None
 
 
 def other_link(link: LinkFacts, there: LinkFacts) -> str:

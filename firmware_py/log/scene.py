@@ -14,16 +14,15 @@ descriptor for readers, as foxglove-sdk defines it.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.input_files import read_json
 from firmware_py.core.signals import tick_dtype, tip_names
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 
@@ -135,12 +134,8 @@ def _base_rotation(angle_rad: Array) -> Array:
 _NEEDED: Final = ("base_offset_m", "link_length_m", "link_width_m", "span_position")
 
 
-def shape_of_bundle(directory: Path) -> LinkShape | None:
-    """Return the shape of a bundle's link; None if its plant is missing or describes no link."""
-    path = directory / "plant.json"
-    if not path.is_file():
-        return None
-    plant = read_json(path, "copy or train the bundle again")
+def shape_of_plant(plant: Mapping[str, Any]) -> LinkShape | None:
+    """Return the shape of a plant's link; None if the plant describes no link."""
     try:
         value = {name: float(entry["value"]) for name, entry in plant["parameters"].items()}
         described = (plant.get("link") or {}).get("markers")

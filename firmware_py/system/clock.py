@@ -23,7 +23,7 @@ import msgspec
 if sys.platform != "win32":  # Windows uses `SimClock`
     import resource
 
-_PR_SET_TIMERSLACK: Final = 29
+_PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CAP_IPC_LOCK: Final = 14
 """Number of the capability in capabilities(7)."""
@@ -87,6 +87,7 @@ def real_time(options: RealTimeOptions) -> Iterator[list[str]]:
     refused: list[str] = []
     affinity, collecting = os.sched_getaffinity(0), gc.isenabled()
     libc = ctypes.CDLL(None, use_errno=True)
+    slack_ns = libc.prctl(_PR_GET_TIMERSLACK, 0, 0, 0, 0)
     libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # 1 ns; effective under the normal scheduler only
     if options.freeze_gc:
         gc.collect()
@@ -112,7 +113,9 @@ def real_time(options: RealTimeOptions) -> Iterator[list[str]]:
     finally:
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, policy, parameters)
-        os.sched_setaffinity(0, affinity)
+        with contextlib.suppress(OSError):  # a processor may be gone
+            os.sched_setaffinity(0, affinity)
+        libc.prctl(_PR_SET_TIMERSLACK, slack_ns, 0, 0, 0)
         if options.lock_memory:
             libc.munlockall()
         if options.freeze_gc:

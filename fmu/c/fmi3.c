@@ -193,6 +193,10 @@ FMI3_Export fmi3Status dropstitch_tick(fmi3Instance instance, const fmi3ValueRef
                                        double results[])
 {
     ENTER(INITIALIZING | STEPPING);
+    for (size_t i = 0; i < nOutputs; i++)
+        if (outputs[i] >= FIRST_STATE) /* states and what follows from them are not in `value` */
+            return done(self, fmu_refuse(fmu, "The value reference %u is no output of a tick.",
+                                         (unsigned)outputs[i]));
     int ok = fmu_set_float64(fmu, inputs, nInputs, values);
     if (ok && step_s > 0.0 && fmu->memory.mode == INITIALIZING)
         ok = fmu_exit_initialization(fmu);

@@ -261,7 +261,7 @@ def _trial_of(result: SilResult) -> Trial:
     else:
         motion = options.motion.motion(options.dof)
         conditions = {
-            "motion": motion.name,
+            "motion": motion.kind,
             "period_s": motion.period_s,
             "amplitude_rad": motion.amplitude_rad,
             "phase_2_rad": motion.phase_2_rad if options.dof == 2 else 0.0,

@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import msgspec
-
 from firmware_py.core.errors import InputError
-from firmware_py.inference.manifest import BundleFiles
-from firmware_py.link.link_facts import PLANT, LinkFacts, facts_of_plant, other_link
+from firmware_py.inference.manifest import PLANT, BundleFiles
+from firmware_py.link.link_facts import facts_of_plant, other_link
 from models.plant.document import plain_plant
 from models.plant.plant import Plant
 
@@ -23,7 +21,8 @@ def compare_with_bundle(plant: Plant, path: Path | str, files: BundleFiles, prod
     theirs = files.manifest.plant_sha256
     if not theirs or theirs == plant.for_robot().sha256():
         return
-    link, bundle_link = facts_of_plant(plain_plant(plant.document())), _facts_in(files)
+    link = facts_of_plant(plain_plant(plant.document()))
+    bundle_link = facts_of_plant(files.plant())
     if link and bundle_link and (fact := other_link(link, bundle_link)):
         raise InputError(
             path, f"is a plant of another link than {files.directory / PLANT}: {fact}",
@@ -35,12 +34,3 @@ def compare_with_bundle(plant: Plant, path: Path | str, files: BundleFiles, prod
         "the bundle again with this plant for the best accuracy",
         file=sys.stderr,
     )
-
-
-def _facts_in(files: BundleFiles) -> LinkFacts | None:
-    if PLANT not in files.contents:
-        return None
-    try:
-        return facts_of_plant(msgspec.json.decode(files.contents[PLANT].data, type=dict))
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return None

@@ -37,8 +37,8 @@ def planned_trial(like: Trial, motion: Motion, payload_kg: float, rest_samples: 
     for j in range(motion.dof):
         columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
     meta = msgspec.structs.replace(
-        like.meta, motion=motion.name, payload_kg=payload_kg, period_s=motion.period_s,
+        like.meta, motion=motion.kind, payload_kg=payload_kg, period_s=motion.period_s,
         amplitude_rad=motion.amplitude_rad, phase_2_rad=motion.phase_2_rad,
         rest_samples=rest_samples, source="simulated",
     )  # fmt: skip
-    return Trial(motion.name, meta, columns)
+    return Trial(motion.kind, meta, columns)

@@ -74,12 +74,12 @@ class TrialCase:
         """Name of the trial; it lists the conditions that differ from the study's."""
         m = self.motion
         parts = [
-            f"dof{m.dof}", f"payload{self.payload_kg:g}", f"trial{self.trial}", m.name,
+            f"dof{m.dof}", f"payload{self.payload_kg:g}", f"trial{self.trial}", m.kind,
             f"{math.degrees(m.amplitude_rad):.6g}deg",
         ]  # fmt: skip
         if m.dof == 2 and m.phase_2_rad:
             parts.append(f"phase{math.degrees(m.phase_2_rad):.6g}deg")
-        if m.design is None and m.period_s != STUDY_PERIOD_S:
+        if m.period_s != STUDY_PERIOD_S:
             parts.append(f"period{m.period_s:g}s")
         if self.pressure_pa != STUDY_LINK.pressure_pa:
             parts.append(f"{self.pressure_pa:g}pa")
@@ -250,7 +250,7 @@ def _meta(case: TrialCase, p: RigParameters) -> TrialMeta:
         payload_kg=case.payload_kg,
         pressure_pa=case.pressure_pa,
         trial=case.trial,
-        motion=motion.name,
+        motion=motion.kind,
         source="rig",
         period_s=motion.period_s,
         amplitude_rad=motion.amplitude_rad,

@@ -155,6 +155,8 @@ def test_a_plan_is_run_instead_of_the_motion(tmp_path, servos, config, toy_bundl
     assert (code, "needs the payload" in output.err) == (2, True)
     code, output = call("run", "--config", config, *plan, "--motion", "steps")
     assert (code, "is given beside a motion" in output.err) == (2, True)
+    code, output = call("run", "--config", config, "--open-loop")
+    assert (code, "is given without --plan" in output.err) == (2, True)
     code, output = call("run", "--config", config, *plan, "--payload-kg", "0.5", "--json")
     assert code == 0, output.err
     log = read_recording(json.loads(output.out)["log"])

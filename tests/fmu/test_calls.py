@@ -111,6 +111,9 @@ def test_a_tick_of_the_robot_equals_set_step_and_get(toy_fmu_3, toy):
         with pytest.raises(FmuRefusal, match="torque_nm"):
             tick.run(PERIOD_S)
         np.testing.assert_array_equal(tick.outputs, before)
+        state = max(ticking.variables.values(), key=lambda variable: variable.reference)
+        with pytest.raises(FmuRefusal, match=f"{state.reference} is no output"):
+            ticking.tick_channel(inputs, [state.name]).run(0.0)
 
 
 def test_a_reset_instance_runs_as_a_new_one(instance):

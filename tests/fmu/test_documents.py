@@ -12,7 +12,7 @@ from lxml import etree
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import STUDY_PERIOD_S, Motion
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.link.link_description import LinkDescription, LinkServo, link_toml
+from firmware_py.link.link_description import LinkDescription, LinkServo
 from fmu.documents import (
     FOLDER,
     documentation_page,
@@ -26,6 +26,7 @@ from fmu.fmu_builder import build_fmu
 from fmu.fmu_checker import check_reference_run
 from fmu.fmu_models import FmuParts
 from fmu.interface import interface_of
+from models.commands.new import link_toml
 from models.plant.plant import read_plant
 from models.plant.step_model import names
 

@@ -18,8 +18,9 @@ from firmware_py.config import RobotConfig
 from firmware_py.core.signals import PERIOD_S, tick_dtype
 from firmware_py.goals.goal_channel import GoalMessage, encode_goal
 from firmware_py.inference.manifest import MANIFEST
-from firmware_py.link.link_description import STUDY_LINK, link_toml
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.log.sinks import TickEncoder
+from models.commands.new import link_toml
 from models.commands.sign import SIGNATURE, sign_bundle
 from tests.firmware_py.goals.scripted_program import linear_map
 from tests.firmware_py.goals.small_plan import small_plan
@@ -195,10 +196,7 @@ def goal_message():
     return encode_goal(GoalMessage(3, (0.1,)))
 
 
-MOTION = (
-    b"schema = 1\nduration_s = 10.0\nharmonics = [1, 2, 5]\n[[joints]]\n"
-    b"sine_rad = [0.2, -0.1, 0.02]\ncosine_rad = [0.1, 0.0, 0.01]\n"
-)
+MOTION = b'schema = 1\nkind = "triangle"\namplitude_rad = 0.2\nperiod_s = 3.0\npayload_kg = 1.0\n'
 PATH = b"time_s,x_m,y_m\n0,0,0\n0.5,0.1,0\n1.0,0.1,0.1\n1.5,0,0\n"
 CAMPAIGN = b"""kind = "sil"
 draws = 3

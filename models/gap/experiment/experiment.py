@@ -13,7 +13,7 @@ import numpy as np
 import tomli_w
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import KINDS, FixedMotionDocument, Kind, Motion
+from firmware_py.core.motion import KINDS, Motion, MotionDocument
 from firmware_py.core.output_files import write_whole
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
@@ -225,8 +225,8 @@ def experiment_in_words(experiment: Experiment, motion: Path) -> str:
 def write_motion(best: RankedMotion, path: Path) -> None:
     """Write the file for `dropstitch run --motion`."""
     motion = best.motion
-    document = FixedMotionDocument(
-        schema=FixedMotionDocument.VERSION, kind=msgspec.convert(motion.kind, Kind),
+    document = MotionDocument(
+        schema=MotionDocument.VERSION, kind=motion.kind,
         amplitude_rad=motion.amplitude_rad, period_s=motion.period_s,
         phase_2_rad=motion.phase_2_rad, payload_kg=best.payload_kg,
     )  # fmt: skip

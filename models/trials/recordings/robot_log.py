@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from firmware_py.bus.registers import describe_alert
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import Motion
 from firmware_py.core.signals import PAYLOAD, joint_signals, tip_names
 from firmware_py.log.recording import (
     OUTSIDE,
@@ -178,7 +177,7 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
 
 def _outside(facts: LoggedRun) -> bool:
     """Whether another program sent the goals."""
-    return facts.motion.design is None and facts.motion.motion == OUTSIDE
+    return facts.motion.motion == OUTSIDE
 
 
 def _goals_reach(log: Recording, step_s: float) -> dict[str, Scalar | None]:
@@ -193,11 +192,8 @@ def _goals_reach(log: Recording, step_s: float) -> dict[str, Scalar | None]:
     }  # fmt: skip
 
 
-def _motion_conditions(logged: LoggedMotion) -> dict[str, Scalar | None]:
-    """Conditions of a trial from the logged motion."""
-    motion = logged if logged.design is None else Motion.designed(logged.design)
-    name = motion.name if isinstance(motion, Motion) else motion.motion or motion.kind
+def _motion_conditions(motion: LoggedMotion) -> dict[str, Scalar | None]:
     return {
-        "motion": name, "period_s": motion.period_s, "amplitude_rad": motion.amplitude_rad,
-        "phase_2_rad": motion.phase_2_rad,
+        "motion": motion.motion or motion.kind, "period_s": motion.period_s,
+        "amplitude_rad": motion.amplitude_rad, "phase_2_rad": motion.phase_2_rad,
     }  # fmt: skip

@@ -7,15 +7,7 @@ from hypothesis import strategies as st
 
 from firmware_py.config import read_config
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import (
-    GLIDE_S,
-    KINDS,
-    JointSeries,
-    Motion,
-    MotionConfig,
-    MotionDocument,
-    read_motion_document,
-)
+from firmware_py.core.motion import GLIDE_S, KINDS, Motion, MotionConfig
 
 AMPLITUDE_RAD = np.radians(30.0)
 
@@ -110,73 +102,50 @@ def test_impossible_motions_are_refused(values, named):
 
 # --- files --------------------------------------------------------------------------------------
 
-SERIES = """
-schema = 1
-duration_s = 10.0
-harmonics = [0, 1, 3]
-payload_kg = 1.0
-[[joints]]
-sine_rad = [0.0, 0.2, 0.05]
-cosine_rad = [0.1, -0.1, 0.02]
-"""
-KIND = """
+MOTION = """
 schema = 1
 kind = "triangle"
 amplitude_rad = 0.2
 period_s = 3.0
 payload_kg = 1.0
 """
-SERVO = '[[servos]]\nid = {}\nmodel = "XM430-W350"\n'
-ROBOT = 'bundle = "b"\n[bus]\nport = "p"\n{}[motion]\nfile = "motion.toml"\n'
+SERIES = """
+schema = 1
+duration_s = 10.0
+harmonics = [1]
+[[joints]]
+sine_rad = [0.2]
+cosine_rad = [0.1]
+"""
+ROBOT = """
+bundle = "b"
+[bus]
+port = "p"
+[[servos]]
+id = 1
+model = "XM430-W350"
+[motion]
+rest_s = 0.5
+file = "motion.toml"
+"""
 
 
 @pytest.fixture
 def motion_file(tmp_path):
     path = tmp_path / "motion.toml"
-    path.write_text(SERIES)
+    path.write_text(MOTION)
     return path
-
-
-def robot(directory, servos=1, rest=""):
-    text = ROBOT.format("".join(SERVO.format(k + 1) for k in range(servos))) + rest
-    (directory / "robot.toml").write_text(text)
-    return read_config(directory / "robot.toml")
-
-
-def test_the_goals_are_the_series_between_rest_at_zero_and_rest_at_zero(motion_file):
-    motion = Motion.designed(read_motion_document(motion_file))
-    at = 2 * np.pi * 0.4
-    inside = 0.1 + 0.2 * np.sin(at) - 0.1 * np.cos(at)
-    inside += 0.05 * np.sin(3 * at) + 0.02 * np.cos(3 * at)
-    np.testing.assert_allclose(motion.goal_rad(4.0), [inside], rtol=1e-12)
-    step_s = 1e-4
-    for end_s in (0.0, 10.0):
-        near = motion.goal_rad(end_s + step_s * np.arange(-2, 3))[:, 0]
-        assert np.max(np.abs(np.diff(near))) / step_s < 1e-3  # the window has no slope there
-    assert not np.any(motion.goal_rad([-1.0, 0.0, 10.0, 12.0]))
-    assert motion.duration_s == 10.0
-    assert motion.amplitude_rad == pytest.approx(np.max(np.abs(motion.table_rad(1e-3))), rel=1e-4)
-    series = tuple(JointSeries(sine_rad=(a,), cosine_rad=(0.0,)) for a in (0.1, 0.2))
-    two = MotionDocument(schema=1, duration_s=4.0, harmonics=(1,), joints=series)
-    np.testing.assert_allclose(Motion.designed(two).goal_rad(1.0), [0.1, 0.2])
 
 
 @pytest.mark.parametrize(
     ("text", "before", "after", "sentence"),
     [
-        (SERIES, "schema = 1", "schema = 7", "schema version 7"),
-        (SERIES, "duration_s = 10.0", "duration_s = 0.0", "lasts 0 s"),
-        (SERIES, "harmonics = [0, 1, 3]", "harmonics = [1, 1, 3]", "harmonics that differ"),
-        (SERIES, "harmonics = [0, 1, 3]", "harmonics = [0, 1, 300]", "above 10 Hz"),
-        (SERIES, "[0.0, 0.2, 0.05]", "[0.0, nan, 0.05]", "not finite"),
-        (SERIES, "[0.0, 0.2, 0.05]", "[0.0, 2.0, 0.05]", "more than 1.57 rad"),
-        (SERIES, "[[joints]]", "[joint]", "is no motion"),
-        (SERIES, "schema = 1", "schema =", "is not TOML"),
-        (SERIES, "payload_kg = 1.0", "payload_kg = -1.0", "payload of -1 kg"),
-        (KIND, "schema = 1", "schema = 7", "schema version 7"),
-        (KIND, '"triangle"', '"circle"', "is no motion"),
-        (KIND, "amplitude_rad = 0.2", "amplitude_rad = 2.0", "motion.toml: its amplitude is 114"),
-        (KIND, "period_s = 3.0", "", "period_s"),
+        (MOTION, "schema = 1", "schema = 7", "schema version 7"),
+        (MOTION, "schema = 1", "schema =", "is not TOML"),
+        (MOTION, '"triangle"', '"circle"', "is no motion"),
+        (MOTION, "amplitude_rad = 0.2", "amplitude_rad = 2.0", "motion.toml: its amplitude is 114"),
+        (MOTION, "period_s = 3.0", "", "period_s"),
+        (SERIES, "", "", "is no motion"),  # of releases up to 0.3
     ],
 )
 def test_a_wrong_motion_file_is_refused_in_one_sentence(tmp_path, text, before, after, sentence):
@@ -187,27 +156,14 @@ def test_a_wrong_motion_file_is_refused_in_one_sentence(tmp_path, text, before, 
 
 
 def test_a_robot_runs_the_motion_file_that_it_names(tmp_path, motion_file):
-    config = robot(tmp_path)
-    rest = round(config.motion.rest_s / config.period_s)
-    expected = Motion.designed(read_motion_document(motion_file)).table_rad(config.period_s, rest)
-    np.testing.assert_array_equal(config.goals_rad(), expected)
-    again = config.goals_rad(repeated=True)
-    np.testing.assert_array_equal(again[len(expected) :], 0.0)
-    with pytest.raises(InputError, match=r"has 1 joints, the robot 2"):
-        robot(tmp_path, servos=2).goals_rad()
-
-
-def test_a_motion_file_may_name_a_kind(tmp_path):
-    (tmp_path / "motion.toml").write_text(KIND)
-    motion = robot(tmp_path, rest="rest_s = 0.5\n").motion
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    motion = read_config(tmp_path / "robot.toml").motion
     assert motion.motion(1) == Motion("triangle", 0.2, 3.0) and motion.rest_s == 0.5
-    again = MotionConfig(kind="steps").with_motion(str(tmp_path / "motion.toml"))
-    assert again.motion(2) == Motion("triangle", 0.2, 3.0, dof=2)
 
 
-def test_the_command_line_takes_a_kind_or_a_file(tmp_path, motion_file):
-    motion = robot(tmp_path).motion
-    assert motion.with_motion("triangle").motion(1).name == "triangle"
-    assert motion.with_motion(str(motion_file)).motion(1).name.startswith("designed-")
+def test_the_command_line_takes_a_kind_or_a_file(motion_file):
+    motion = MotionConfig(kind="steps")
+    assert motion.with_motion("decay").motion(1).kind == "decay"
+    assert motion.with_motion(str(motion_file)).motion(2) == Motion("triangle", 0.2, 3.0, dof=2)
     with pytest.raises(InputError, match="no kind of motion and no file"):
         motion.with_motion("circle")

@@ -28,6 +28,7 @@ from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.system.timing import Timing
+from models.plant.document import plain_plant
 from models.plant.plant import read_plant
 from tests.firmware_py.goals.small_plan import (
     OTHER_PLANT,
@@ -225,11 +226,11 @@ SAME, OTHER = "1" * 64, "0" * 64
 
 
 @pytest.fixture
-def bundle(bare_bundle, tmp_path):
+def bundle(bare_bundle):
     """Bundle that was trained with a plant, which lies in it."""
-    read_plant().write(tmp_path / "plant.json")
     manifest = msgspec.structs.replace(read_bundle_files(bare_bundle).manifest, plant_sha256=SAME)
-    return ModelBundle(tmp_path, manifest, NoEstimator(), StillPredictor())
+    plant = plain_plant(read_plant().document())
+    return ModelBundle(bare_bundle, manifest, NoEstimator(), StillPredictor(), plant=plant)
 
 
 def test_another_plant_of_the_same_link_is_noted(bundle):
@@ -246,5 +247,5 @@ def test_another_link_is_refused(bundle, name, value):
     other = msgspec.structs.replace(STUDY_FACTS, **{name: value})
     with pytest.raises(InputError, match=f"map.json: was made for another link .*: {name} "):
         note_on_plant("map.json", OTHER, other, bundle)
-    (bundle.directory / "plant.json").unlink()  # then the hash alone is compared
-    assert OTHER_PLANT in note_on_plant("map.json", OTHER, other, bundle)
+    without = replace(bundle, plant={})  # then the hash alone is compared
+    assert OTHER_PLANT in note_on_plant("map.json", OTHER, other, without)

@@ -50,6 +50,15 @@ def test_a_changed_or_missing_file_is_refused_by_name(bundle, name):
     refused(bundle, rf"{name}.*missing")
 
 
+def test_the_plant_is_the_one_whose_hash_was_verified(bundle):
+    loaded = ModelBundle.load(bundle)
+    assert loaded.plant == json.loads((bundle / "plant.json").read_text())
+    (bundle / "plant.json").unlink()
+    rewrite_manifest(bundle)
+    (bundle / "plant.json").write_text('{"parameters": {}}')  # a file that the manifest lacks
+    assert ModelBundle.load(bundle).plant == {}
+
+
 @pytest.mark.parametrize("name", ["di", "tip_m"])
 def test_a_golden_tick_that_differs_beyond_rounding_is_refused(bundle, name):
     golden = read_golden(bundle / GOLDEN, 1)

@@ -14,11 +14,11 @@ from firmware_py.link.link_description import (
     LinkGravity,
     LinkServo,
     check_link,
-    link_toml,
     read_link,
 )
-from firmware_py.link.link_facts import STUDY_FACTS, facts_of_bundle, facts_of_plant, other_link
+from firmware_py.link.link_facts import STUDY_FACTS, facts_of_plant, other_link
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
+from models.commands.new import link_toml
 from models.plant.plant import read_plant
 
 SMALL = LinkDescription(
@@ -87,8 +87,8 @@ def plant_of(directory, link=None):
 
 
 def test_facts_are_those_of_the_link_of_a_plant(tmp_path):
-    assert facts_of_bundle(tmp_path) is None
-    assert facts_of_plant(plant_of(tmp_path)) == facts_of_bundle(tmp_path) == STUDY_FACTS
+    assert facts_of_plant({}) is None
+    assert facts_of_plant(plant_of(tmp_path)) == STUDY_FACTS
     (tmp_path / "link.toml").write_text(link_toml(SMALL, 0.4, 0.1), encoding="utf-8")
     facts = facts_of_plant(plant_of(tmp_path, tmp_path / "link.toml"))
     assert (facts.joints, facts.length_m, facts.width_m) == (1, 0.6, 0.1)

@@ -1,7 +1,5 @@
 """Scenes in a log: decoded by the viewer's own schema, beside the twin's forward kinematics."""
 
-import json
-
 import msgspec
 import numpy as np
 import pytest
@@ -17,8 +15,9 @@ from firmware_py.log.scene import (
     SHAPE_KEY,
     LinkShape,
     scene_schema,
-    shape_of_bundle,
+    shape_of_plant,
 )
+from models.plant.document import plain_plant
 from models.plant.plant import NOMINAL, read_plant
 from models.shared.kinematics import base_corners_m, base_rotation
 
@@ -38,19 +37,17 @@ def twin_points_m(angle_rad, root_rad):
     return hinge, hinge + base @ first @ second @ (0, 0, (1 - POSITION) * LENGTH_M)
 
 
-def test_the_shape_comes_from_the_plant_of_a_bundle(tmp_path):
-    assert shape_of_bundle(tmp_path) is None
+def test_the_shape_comes_from_the_plant():
+    assert shape_of_plant({}) is None
     plant = read_plant(NOMINAL)
-    plant.write(tmp_path / "plant.json")
-    shape = shape_of_bundle(tmp_path)
+    document = plain_plant(plant.document())
+    shape = shape_of_plant(document)
     value = {name: q.value for name, q in plant.parameters.items()}
     ratio = value["root_stiffness_1_nm_rad"] / value["span_stiffness_1_nm_rad"]
     assert shape.bend_ratio == pytest.approx((1 - value["span_position"]) * ratio)
     assert (shape.length_m, len(shape.rows_m)) == (value["link_length_m"], 4)
-    document = json.loads((tmp_path / "plant.json").read_text())
     del document["parameters"]["span_position"]
-    (tmp_path / "plant.json").write_text(json.dumps(document))
-    assert shape_of_bundle(tmp_path) is None  # another plant has no such scene
+    assert shape_of_plant(document) is None  # another plant has no such scene
 
 
 @pytest.fixture(scope="module")

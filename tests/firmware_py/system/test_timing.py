@@ -1,12 +1,14 @@
 """Timing: percentiles, causes of misses, the bound on their rate; clocks, counters, `bench`."""
 
 import contextlib
+import ctypes
 import gc
 import json
 import math
 import os
 import threading
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -101,9 +103,13 @@ def test_the_bound_of_long_runs_is_a_quantile_of_the_beta_distribution(misses):
 # --- clocks, and a thread that is made real-time and restored -----------------------------------
 
 
+def timer_slack_ns():
+    return ctypes.CDLL(None).prctl(30, 0, 0, 0, 0)  # PR_GET_TIMERSLACK
+
+
 @pytest.mark.parametrize("collecting", [True, False])
 def test_a_thread_is_restored_as_it_was(collecting):
-    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
+    before = os.sched_getscheduler(0), os.sched_getaffinity(0), timer_slack_ns()
     cpu = min(before[1])
     (gc.enable if collecting else gc.disable)()
     try:
@@ -113,7 +119,17 @@ def test_a_thread_is_restored_as_it_was(collecting):
             fifo = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
             assert fifo is not any("SCHED_FIFO" in sentence for sentence in refused)
         assert gc.isenabled() is collecting
-        assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+        assert (os.sched_getscheduler(0), os.sched_getaffinity(0), timer_slack_ns()) == before
+    finally:
+        gc.enable()
+
+
+def test_a_processor_that_is_gone_at_the_end_leaves_the_rest_restored(monkeypatch):
+    slack_ns = timer_slack_ns()
+    try:
+        with real_time(RealTimeOptions(priority=0, lock_memory=False)):
+            monkeypatch.setattr(os, "sched_setaffinity", Mock(side_effect=OSError))
+        assert gc.isenabled() and timer_slack_ns() == slack_ns
     finally:
         gc.enable()
 

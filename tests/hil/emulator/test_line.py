@@ -207,7 +207,9 @@ def test_a_late_answer_to_a_write_is_not_taken_for_data(bus_of):
     emulated = bus_of(54024)
     bus = bus_on(LateOnce(Line(emulated), clock), clock, 54024, ids=(1,))
     bus.connect()  # as data, the CRC of the late answer would be a hardware error
-    assert bus.firmware_versions == (emulated.servos[0].get(Register.FIRMWARE_VERSION),)
+    (settings,) = bus.read_settings()
+    version = Register.FIRMWARE_VERSION
+    assert settings[version.value] == emulated.servos[0].get(version)
 
 
 def test_fault_rates_are_met():

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from firmware_py.link.link_description import link_toml
 from firmware_py.link.marker_layout import square_corners_m
+from models.commands.new import link_toml
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names

@@ -13,9 +13,9 @@ from firmware_py.link.link_description import (
     LinkDescription,
     LinkGravity,
     LinkServo,
-    link_toml,
 )
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
+from models.commands.new import link_toml
 from models.plan.plan import check_grid
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.parameter import check_payload

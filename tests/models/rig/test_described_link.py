@@ -8,8 +8,9 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
-from firmware_py.link.link_description import LinkDescription, LinkGravity, LinkServo, link_toml
+from firmware_py.link.link_description import LinkDescription, LinkGravity, LinkServo
 from firmware_py.link.marker_layout import square_layout
+from models.commands.new import link_toml
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant

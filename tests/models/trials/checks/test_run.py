@@ -236,7 +236,7 @@ def run(make_trial):
         late = np.vstack([goal[:1], goal[:1], goal[:-2]])
         encoder_rad = 2 * np.pi / 4096
         trial = make_trial(
-            encoder_rad * np.round(late / encoder_rad), rest_samples=REST, motion=motion.name,
+            encoder_rad * np.round(late / encoder_rad), rest_samples=REST, motion=motion.kind,
             period_s=motion.period_s, amplitude_rad=motion.amplitude_rad,
             phase_2_rad=motion.phase_2_rad,
         )  # fmt: skip

@@ -8,7 +8,8 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
-from firmware_py.link.link_description import LinkDescription, link_toml
+from firmware_py.link.link_description import LinkDescription
+from models.commands.new import link_toml
 from models.trials.files import read_trial
 from models.trials.pipeline import recording_hash
 from models.trials.recordings.mapping import RecordingMap, TakeRules, find_takes, read_mapping

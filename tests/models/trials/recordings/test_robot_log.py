@@ -227,3 +227,12 @@ def test_goals_from_another_program_state_their_duration_and_reach(tmp_path, imp
     assert trial.meta.amplitude_rad == np.abs(records["goal_1_rad"]).max()
     assert trial.meta.period_s == pytest.approx(PERIOD_S * (COUNT - 60))
     assert not [f for f in result["findings"] if "amplitude_rad" in f["text"]]
+
+
+def test_a_log_of_a_fourier_motion_is_not_taken_for_the_motion_beside_it(tmp_path, run_import):
+    """Releases up to 0.3 ran such motions; `kind` and the rest kept their defaults."""
+    motion = {"kind": "sinusoid", "period_s": 4.352, "amplitude_rad": 0.5, "phase_2_rad": 0.0}
+    config = json.dumps({"motion": motion | {"design": {"harmonics": [1]}}, "payload_kg": 1.0})
+    path = write_log(tmp_path / "run.mcap", swinging(), 1, config=config)
+    code, _, err = run_import(path)
+    assert code == 2 and "motion" in err and err.count("\n") == 1
