@@ -171,6 +171,10 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     for key, name in names.items():
         if not name.isprintable():
             raise InputError(path, f"{key} is {name!r}", "give a name without control characters")
+    try:
+        config.motion.motion(config.dof)
+    except InputError as error:
+        raise InputError(path, f"motion.{error.where} {error.what}", error.remedy) from None
     check_ids([servo.id for servo in config.servos], path)
     for key in config.trust.keys:
         key_bytes(key, path)

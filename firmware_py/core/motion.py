@@ -100,13 +100,12 @@ class Motion:
         if self.dof not in (1, 2):
             raise InputError("dof", f"is {self.dof}", "choose 1 or 2")
         if not 0 <= self.amplitude_rad <= np.pi / 2:
-            raise InputError(
-                "amplitude", f"is {ANGLE.factor * self.amplitude_rad:g} degrees", "choose 0 to 90"
-            )
+            size = f"{self.amplitude_rad:g} rad, {ANGLE.factor * self.amplitude_rad:g} degrees"
+            raise InputError("amplitude_rad", f"is {size}", "choose 0 to 90 degrees")
         if not 0.1 <= self.period_s <= 600:
-            raise InputError("period", f"is {self.period_s:g} s", "choose 0.1 to 600")
+            raise InputError("period_s", f"is {self.period_s:g}", "choose 0.1 to 600")
         if not np.isfinite(self.phase_2_rad):
-            raise InputError("phase", f"is {self.phase_2_rad}", "give a finite angle")
+            raise InputError("phase_2_rad", f"is {self.phase_2_rad}", "give a finite angle")
 
     @property
     def duration_s(self) -> float:

@@ -252,12 +252,16 @@ def check_motion(goals_rad: Array, limits: Limits, period_s: float, where: str) 
 
     `goals_rad`: one row per period, shape (n, dof), from rest at the first row.
     """
+    remedy = "make the motion slower or smaller, or widen [limits]"
+    start_rad, rest = goals_rad[0].tolist(), [0.0] * goals_rad.shape[1]
+    if wrong := limits.goal_violation(
+        start_rad, before=start_rad, velocity=rest, period_s=period_s
+    ):
+        raise InputError(where, wrong, remedy)
     supervisor = SafetySupervisor(limits, goals_rad.shape[1], period_s)
     supervisor.arm(goals_rad[0])
     supervisor.start()
     for row in goals_rad:
         supervisor.admit(row)
         if supervisor.state is not SafetyState.RUNNING:
-            raise InputError(
-                where, supervisor.reason, "make the motion slower or smaller, or widen [limits]"
-            )
+            raise InputError(where, supervisor.reason, remedy)

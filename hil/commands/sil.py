@@ -113,6 +113,8 @@ def _options(args: argparse.Namespace) -> SilOptions:
         raise InputError("--goal-map", "is given without --goals", "leave it out")
     if args.goals is not None and args.plan is not None:
         raise InputError("--goals", "cannot be used together with --plan", "leave one out")
+    if args.open_loop and args.plan is None:
+        raise InputError("--open-loop", "is given without --plan", "leave it out")
     effects = parse_strengths(args.hide)
     if effects and not args.rig:
         raise InputError("--hide", "needs the rig, not a twin", "add --rig")

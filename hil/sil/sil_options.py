@@ -7,11 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import msgspec
+
 from firmware_py.bus.servo_models import Model, model_named
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_toml
 from firmware_py.core.motion import GLIDE_S, MotionConfig
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.for_robot import note_on_plant
 from firmware_py.goals.outside_goals import OutsideGoals
 from firmware_py.goals.tip_plan import TipPlan
@@ -232,8 +235,11 @@ def _link_behind(rig: RigSource | None, bundle: ModelBundle) -> LinkDescription:
 
 def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
     """Return the configuration with which the robot would run."""
-    link = options.link
-    limits = Limits()  # the study's
+    link, limits = options.link, Limits()  # the study's
+    # The study's motion starts at full speed within one period, whatever the period is.
+    shorter = max(PERIOD_S / options.period_s, 1.0)
+    acceleration = shorter * limits.acceleration_rad_s2
+    limits = msgspec.structs.replace(limits, acceleration_rad_s2=acceleration)
     return RobotConfig(
         bundle=str(options.bundle.directory),
         bus=BusConfig(port=port, baud=options.baud),

@@ -82,6 +82,7 @@ WRONG = {
     "a reversed legacy servo": (MINIMAL + "reverse = true\n", "has no Drive Mode"),
     "a gain that the servo lacks": (MINIMAL + "gains = { position_d = 1 }\n", "no Position D Gain"),
     "an offset beyond a turn": (MINIMAL + "homing_offset_rad = 4.0\n", "homing_offset_rad is 4"),
+    "a negative amplitude": (MINIMAL + "[motion]\namplitude_rad = -1", r"motion\.amplitude_rad is"),
     "an unknown motion": (MINIMAL + "[motion]\nkind = 'circle'\n", "circle"),
 }  # fmt: skip
 
@@ -103,8 +104,13 @@ def test_a_repeated_motion_comes_back_to_where_it_starts(tmp_path):
     assert np.abs(goals[-1]).max() < 1e-3
 
 
-def test_a_motion_beyond_the_limits_is_refused(tmp_path):
-    config = config_of(MINIMAL + "[motion]\namplitude_rad = 0.7\n", tmp_path)
+@pytest.mark.parametrize(
+    "table",
+    ["[motion]\namplitude_rad = 0.7\n", "[limits]\nangle_rad = [0.1, 0.6]\n"],
+    ids=["too large", "starts outside"],
+)
+def test_a_motion_beyond_the_limits_is_refused(tmp_path, table):
+    config = config_of(MINIMAL + table, tmp_path)
     with pytest.raises(InputError, match="motion sinusoid: the goal of joint 1"):
         config.goals_rad()
 

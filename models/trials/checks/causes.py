@@ -225,7 +225,8 @@ FRAME_NUMBERS = Cause("time", REFUSES,
 STEP = Cause("step", WARNS,
     "the samples of {file} are {file_s:ms} apart and the trial's rows {step_s:ms}: its goals are "
     "held from sample to sample and come late or early",
-    "set step_s = {file_s:.4g} in MAP.toml")
+    "record the servos at the robot's period; if that is {file_s:ms}, set step_s = {file_s:.4g} "
+    "above the tables of MAP.toml: the step of the trials becomes the period of the bundle")
 GAP = Cause("gap", (0.035, 0.1),  # s without a sample: two periods of a motion below 4 Hz
     "{file} has no samples for {size:.3f} s from {start_s:.2f} s on",
     "cut the recording there, or record it again")

@@ -143,7 +143,12 @@ def motion_file(tmp_path):
         (MOTION, "schema = 1", "schema = 7", "schema version 7"),
         (MOTION, "schema = 1", "schema =", "is not TOML"),
         (MOTION, '"triangle"', '"circle"', "is no motion"),
-        (MOTION, "amplitude_rad = 0.2", "amplitude_rad = 2.0", "motion.toml: its amplitude is 114"),
+        (
+            MOTION,
+            "amplitude_rad = 0.2",
+            "amplitude_rad = 2.0",
+            "motion.toml: its amplitude_rad is 2",
+        ),
         (MOTION, "period_s = 3.0", "", "period_s"),
         (SERIES, "", "", "is no motion"),  # of releases up to 0.3
     ],

@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import json
 import threading
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -352,8 +353,12 @@ def test_the_run_follows_the_goals_of_another_program(options, tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "option"),
-    [("--goal-map P.json", "--goal-map"), ("--hide creep=0.1", "--hide")],
-    ids=["map without goals", "hidden effect without rig"],
+    [
+        ("--goal-map P.json", "--goal-map"),
+        ("--hide creep=0.1", "--hide"),
+        ("--open-loop", "--open-loop"),
+    ],
+    ids=["map without goals", "hidden effect without rig", "open loop without plan"],
 )
 def test_options_that_need_another_one_are_refused(tmp_path, capsys, options, option):
     words = f"sil --bundle {tmp_path} --out {tmp_path}/out --line virtual {options}"
@@ -369,6 +374,13 @@ def test_a_map_for_another_robot_is_refused(options, tmp_path):
     goals = outside_goals(f"unix:{tmp_path}/goals", tmp_path / "map.json", config, chosen.bundle)
     with pytest.raises(InputError, match="is for 2 joints, the robot has 1"), goals:
         pass
+
+
+def test_the_motion_of_the_study_is_within_the_limits_at_a_shorter_period(options, bundle):
+    manifest = msgspec.structs.replace(bundle.manifest, period_s=0.01)
+    chosen = options(plan=None, bundle=replace(bundle, manifest=manifest), open_loop=False)
+    goals_rad = sil_config(chosen, "virtual").goals_rad()
+    assert np.abs(goals_rad).max() == pytest.approx(np.radians(30.0), abs=1e-3)
 
 
 def plan_with_moves(plan, desired_m, moves):
