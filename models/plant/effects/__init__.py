@@ -122,8 +122,20 @@ class Effect:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if not hasattr(cls, "port"):
+        where, ports = f"effect class {cls.__module__}.{cls.__qualname__}", ", ".join(PORTS)
+        if not hasattr(cls, "name"):
+            raise InputError(where, "has no name", "set name in the class")
+        if not hasattr(cls, "port") and cls.name in EVERY_EFFECT:
             cls.port = EVERY_EFFECT[cls.name].port
+        if not hasattr(cls, "port"):
+            raise InputError(
+                where, f"has no port, and the catalogue has no row {cls.name!r}",
+                f"set port in the class to one of {ports}",
+            )  # fmt: skip
+        if cls.port not in PORTS:
+            raise InputError(where, f"has the port {cls.port!r}", f"choose from {ports}")
+        if not (cls.per_joint or cls.shared):
+            raise InputError(where, "has no strength", "give it a Parameter in per_joint or shared")
         EFFECTS[cls.name] = cls
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:

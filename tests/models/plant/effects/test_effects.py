@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import LinkDescription, LinkServo
 from models.plant import plant as plant_module
-from models.plant.effects import EFFECTS, ORDER, PORTS, Effect, in_order
+from models.plant.effects import EFFECTS, PORTS, Effect, in_order
 from models.plant.effects_page import main as write_page
 from models.plant.parameter import Parameter, parameter_of_link
 from models.plant.plant import read_plant, scope_of
@@ -201,7 +202,7 @@ def test_the_order_of_definition_does_not_change_the_composed_model(registry, do
     registry.clear()
     registry.update(rows)
     assert composed([name for name in reversed(registry) if name in CATALOGUE]) == before
-    assert read_plant().applicable() == [e for e in ORDER if e in CATALOGUE]
+    assert read_plant().applicable() == in_order(CATALOGUE)
 
 
 @pytest.mark.parametrize(
@@ -213,6 +214,7 @@ def test_the_ports_are_applied_in_the_declared_order(registry, unit, ports):
     def probe(at):
         class Probe(Effect):
             name, port = f"probe_{at}", at
+            shared = (Parameter(f"probe_{at}", "1", 0.0, 0.0, 1.0, role="effect"),)
 
             def apply(self, scope):
                 applied.append(self.port)
@@ -224,6 +226,28 @@ def test_the_ports_are_applied_in_the_declared_order(registry, unit, ports):
     assert in_order(("probe_mass", "sync_offset", "probe_command", "encoder_offset")) == [
         "encoder_offset", "sync_offset", "probe_command", "probe_mass",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("fields", "missing"),
+    [
+        ({"port": "mass"}, "name"),
+        ({"name": "extra"}, "port.*catalogue.*joint_torque"),
+        ({"name": "extra", "port": "joint"}, "'joint'.*joint_torque"),
+        ({"name": "extra", "port": "mass"}, "strength.*per_joint"),
+    ],
+)
+def test_a_class_that_is_no_effect_is_refused_by_its_name(registry, fields, missing):
+    with pytest.raises(InputError, match="Unfinished.*" + missing):
+        type("Unfinished", (Effect,), fields)
+    assert "extra" not in registry
+
+
+def test_an_effect_of_a_file_is_listed(registry, capsys):
+    one_parameter("N.m.s2/rad2", "x", 20.0)
+    assert dropstitch(["list", "effects"]) == 0
+    (line,) = [row for row in capsys.readouterr().out.splitlines() if row.startswith("extra ")]
+    assert "N.m.s2/rad2" in line and "servo_torque" in line and "catalogue" in line
 
 
 def test_the_example_of_the_guide_is_an_effect(registry, monkeypatch, tmp_path):
