@@ -59,8 +59,8 @@ ORDER: Final[tuple[str, ...]] = (
     "encoder_offset", "encoder_ripple", "current_bias", "current_scale", "marker_frame_tilt",
     "marker_scale", "sync_offset", "sensor_lag",
 )  # fmt: skip
-"""Every effect of the catalogue. Where two effects of a port do not commute, the comment says why
-the one comes before the other."""
+"""Order within a port; an effect needs an entry only if it has to act before one of these. Where
+two effects do not commute, the comment says why the one comes before the other."""
 
 
 def in_order(names: Iterable[str]) -> list[str]:
