@@ -37,10 +37,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _effects() -> Rows:
+    from models.plant.effects import EFFECTS
     from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT
 
     beyond = " (in a plant only, not in the rig)"
-    return {
+    rows = {
         name: {
             "unit": effect.unit,
             "port": effect.port,
@@ -48,6 +49,15 @@ def _effects() -> Rows:
         }
         for name, effect in EVERY_EFFECT.items()
     }
+    for name in sorted(EFFECTS.keys() - EVERY_EFFECT.keys()):
+        of_file = EFFECTS[name]
+        strength = (*of_file.per_joint, *of_file.shared)[0]
+        rows[name] = {
+            "unit": strength.unit,
+            "port": of_file.port,
+            "strength": f"{strength.description} (not in the catalogue)",
+        }
+    return rows
 
 
 def _rigs() -> Rows:

@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import msgspec
 
 from firmware_py.bus.registers import ControlTable, Indirect, Register, RegisterField
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert
 
 __all__ = [
     "GAINS",
@@ -25,6 +26,11 @@ __all__ = [
     "model_named",
     "read_models",
 ]
+
+
+T = TypeVar("T")
+
+_FILE: Final = Path(__file__).with_name("servos.toml")
 
 
 class ServoGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -171,48 +177,77 @@ class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _Servos(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    families: dict[str, _Family]
-    models: dict[str, _Row]
-    motors: dict[str, ServoPreset]
+    families: dict[str, Any]
+    models: dict[str, Any]
+    motors: dict[str, Any]
 
 
 def read_models(toml: bytes | str) -> dict[int, Model]:
     """Read servo models in the form of `servos.toml`, by model number."""
     try:
-        return _models(msgspec.toml.decode(toml, type=_Servos))
-    except KeyError as error:
-        raise InputError("servos.toml", f"has no table {error}", "correct the name") from error
+        servos = msgspec.toml.decode(toml, type=_Servos)
     except ValueError as error:
-        raise InputError("servos.toml", f"cannot be read ({error})", "correct it") from error
-
-
-def _models(servos: _Servos) -> dict[int, Model]:
+        raise InputError(_FILE.name, f"cannot be read ({error})", "correct it") from error
+    families = _rows("families", servos.families, _Family)
+    motors = _rows("motors", servos.motors, ServoPreset)
     tables: dict[str, ControlTable] = {}
-    for name, family in servos.families.items():
-        cells = {Register(each): _cell(*row) for each, row in family.registers.items()}
+    for name, family in families.items():
+        where = f'[families."{name}"]'
+        cells = {_register(each, where): _cell(*row) for each, row in family.registers.items()}
         if family.like is not None:
-            cells = _with_ram_at(family.ram_start, tables[family.like])
+            cells = _with_ram_at(family.ram_start, _named(family.like, "families", tables, where))
         tables[name] = ControlTable(
             name, cells, family.ram_start, family.indirect, family.fast_sync_read
         )
-    return {
-        row.number: Model(
+    models: dict[int, Model] = {}
+    for name, row in _rows("models", servos.models, _Row).items():
+        where = f'[models."{name}"]'
+        if row.number in models:
+            raise InputError(
+                _FILE.name, f"{where} has the number {row.number} of {models[row.number].name}",
+                "give each model the number of its e-Manual page",
+            )  # fmt: skip
+        table = _named(row.family, "families", tables, where)
+        factory = families[row.family].factory | row.factory
+        models[row.number] = Model(
             number=row.number,
             name=name,
-            table=tables[row.family],
-            factory=_factory(servos.families[row.family].factory | row.factory),
-            preset=servos.motors[row.motor],
+            table=table,
+            factory={_register(each, where): raw for each, raw in factory.items()},
+            preset=_named(row.motor, "motors", motors, where),
             pulses_per_turn=row.pulses_per_turn,
             zero_pulse=row.zero_pulse,
             current_a_per_lsb=row.current_a_per_lsb,
             velocity_rad_s_per_lsb=row.velocity_rpm_per_lsb * 2.0 * math.pi / 60.0,
         )
-        for name, row in servos.models.items()
+    return models
+
+
+def _rows(kind: str, tables: dict[str, Any], row: type[T]) -> dict[str, T]:
+    return {
+        name: convert(table, row, _FILE.name, f'[{kind}."{name}"]', "correct this table")
+        for name, table in tables.items()
     }
 
 
-def _factory(values: dict[str, int]) -> dict[Register, int]:
-    return {Register(name): raw for name, raw in values.items()}
+def _named(name: str, kind: str, tables: Mapping[str, T], where: str) -> T:
+    """Return the table that another one, `where`, refers to."""
+    if name not in tables:
+        raise InputError(
+            _FILE.name, f"{where} refers to {name!r}, which [{kind}] does not have",
+            f'add [{kind}."{name}"], or choose from {", ".join(tables)}',
+        )  # fmt: skip
+    return tables[name]
+
+
+def _register(name: str, where: str) -> Register:
+    try:
+        return Register(name)
+    except ValueError:
+        raise InputError(
+            _FILE.name, f"{where} has the register {name!r}, which is not known",
+            "write it as in another family, or add it to registers.py",
+        ) from None  # fmt: skip
 
 
 def _cell(address: int, kind: str, access: str) -> RegisterField:
@@ -228,7 +263,6 @@ def _with_ram_at(ram_start: int, table: ControlTable) -> dict[Register, Register
     }
 
 
-_FILE: Final = Path(__file__).with_name("servos.toml")
 MODELS: Final[Mapping[int, Model]] = read_models(_FILE.read_bytes())
 """Supported servo models, by model number."""
 

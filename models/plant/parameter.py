@@ -13,6 +13,7 @@ import msgspec
 from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from models.shared.link_scale import LinkScale
+from models.trials.units import exponents_in
 
 Role = Literal["nuisance", "effect", "calibration", "fixed"]
 """Treatment of a parameter by `identify`.
@@ -127,7 +128,9 @@ def parameter_of_link(q: Parameter, scale: LinkScale) -> Parameter:
         return msgspec.structs.replace(q, value=q.value * scale.over_study(q.name))
     if q.name == "payload_known_kg":  # its negative value asks for an estimate
         return msgspec.structs.replace(q, high=link.most_payload_kg)
-    ratio = _ratio(re.sub(r"_[12](?=_|$)", "", q.name), scale)
+    ratio = _ratios(scale).get(re.sub(r"_[12](?=_|$)", "", q.name))
+    if ratio is None:
+        ratio = scale.ratio_of_unit(exponents_in(f"parameter {q.name}", q.unit))
     if ratio == 1.0:
         return q
     return msgspec.structs.replace(
@@ -137,8 +140,12 @@ def parameter_of_link(q: Parameter, scale: LinkScale) -> Parameter:
     )  # fmt: skip
 
 
-def _ratio(name: str, scale: LinkScale) -> float:
-    """Scale factor of a parameter; `name` is without the joint's number."""
+def _ratios(scale: LinkScale) -> dict[str, float]:
+    """Scale factors by name, without the joint's number.
+
+    They are of the parameters that depend on more than the servo's torque and current, which follow
+    from the unit (`LinkScale.ratio_of_unit`).
+    """
     servo, over = scale.servo_ratios, scale.over_study
     inertia, constant = servo["rotor_inertia_kg_m2"], servo["torque_constant_nm_a"]
     damping_s = 1 / over("first_mode_rad_s")
@@ -166,15 +173,11 @@ def _ratio(name: str, scale: LinkScale) -> float:
     }
     for ratio, alike in (
         (inertia, ("rotor_inertia_kg_m2", "plate_inertia_kg_m2", "gear_damping_nm_s_rad")),
-        (servo["current_limit_a"],
-         ("current_limit_a", "current_saturation_a", "current_bias_a", "current_noise_a")),
         (servo["coulomb_friction_nm"],
          ("coulomb_friction_nm", "stribeck_friction_nm", "stiction_nm")),
-        (servo["torque_limit_nm"],
-         ("cogging_nm", "cogging_cosine_nm", "backlash_torque_nm", "load_offset_nm")),
     ):  # fmt: skip
         ratios |= dict.fromkeys(alike, ratio)
-    return ratios.get(name, 1.0)
+    return ratios
 
 
 class ImpossibleSum(NamedTuple):

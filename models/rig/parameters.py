@@ -23,6 +23,7 @@ from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from models.shared.catalogue import effect_and_joint
 from models.shared.link_scale import LinkScale
+from models.trials.units import exponents_in
 
 RIG_TOML: Final = Path(__file__).with_name("rig.toml")
 STRUCTURES: Final = Path(__file__).with_name("structures")
@@ -295,8 +296,8 @@ def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
     ).over_study
     width = link.width_m / STUDY_LINK.width_m
     length = link.length_m / STUDY_LINK.length_m
-    torque, inertia = servo["torque_limit_nm"], servo["rotor_inertia_kg_m2"]
-    coulomb, current = servo["coulomb_friction_nm"], servo["current_limit_a"]
+    inertia, coulomb = servo["rotor_inertia_kg_m2"], servo["coulomb_friction_nm"]
+    # What depends on more than the servo's torque and current, which follow from the unit
     ratios = {
         "link.mass_kg": over("mass_kg"),
         "link.tip_mass_kg": over("tip_mass_kg"),
@@ -313,31 +314,26 @@ def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
         "servo.speed_limit_rad_s": servo["speed_limit_rad_s"],
         "servo.inertia_kg_m2": inertia,
         "servo.torque_constant_nm_a": servo["torque_constant_nm_a"],
-        "servo.current_limit_a": current,
-        "servo.current_limit_reduction_a": current,
         "servo.coulomb_friction_nm": coulomb,
         "servo.viscous_friction_nm_s_rad": servo["viscous_friction_nm_s_rad"],
         "servo.stribeck_friction_nm": coulomb,
         "servo.load_friction_share": servo["load_friction"],
         "servo.breakaway_friction_nm": coulomb,
-        "servo.cogging_nm": torque,
         # Presliding over the same angle, with the same damping ratio against the rotor.
         "servo.bristle_stiffness_nm_rad": coulomb,
         "servo.bristle_damping_nm_s_rad": math.sqrt(coulomb * inertia),
         "servo.backlash_rad": servo["backlash_rad"],
-        "servo.play_torque_nm": torque,
         # The rotor swings on the gear at the same frequency.
         "servo.gear_compliance_rad_nm": 1 / inertia,
         "servo.gear_damping_nm_s_rad": inertia,
-        "servo.load_offset_nm": torque,
-        "sensor.current_noise_a": current,
-        "sensor.current_bias_a": current,
         "variation.eccentricity_m": width,
         "world.drag_nm": width * length**4,
     }
-    entries = dict(rig.entries)
-    for name, ratio in ratios.items():
-        entry = entries[name]
+    entries = {}
+    for name, entry in rig.entries.items():
+        ratio = ratios.get(name)
+        if ratio is None:
+            ratio = scale.ratio_of_unit(exponents_in(f"{rig.path}, {name}", entry.unit))
         entries[name] = msgspec.structs.replace(
             entry, value=entry.value * ratio,
             minimum=entry.minimum * ratio, maximum=entry.maximum * ratio,

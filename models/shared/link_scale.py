@@ -14,6 +14,7 @@ does not depend on it. The limit moment is in proportion to pressure.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Final
 
@@ -144,6 +145,16 @@ class LinkScale:
     def over_study(self, name: str) -> float:
         """Ratio of a property to that of the study's link."""
         return float(getattr(self, name) / getattr(_STUDY, name))
+
+    def ratio_of_unit(self, powers: Mapping[str, int]) -> float:
+        """Ratio of a quantity of the drive, by the exponents of the symbols in its unit.
+
+        Torques are in proportion to the servo's torque and currents to its current. The motion is
+        the study's, and with it rates and times.
+        """
+        servo = self.servo_ratios
+        torque, current = powers.get("N", 0), powers.get("A", 0)
+        return servo["torque_limit_nm"] ** torque * servo["current_limit_a"] ** current
 
     @cached_property
     def servo_ratios(self) -> dict[str, float]:

@@ -61,8 +61,8 @@ _FACTOR = re.compile(r"([./]?)(\(*)([A-Za-z]+|1)(-?\d+)?(\)*)")
 """Operator, opened brackets, symbol, power, closed brackets."""
 
 
-def base_exponents(unit: str) -> dict[str, int]:
-    """Return the exponents of kg, m, s, A, K and rad in a unit; zeros are omitted.
+def symbol_exponents(unit: str) -> dict[str, int]:
+    """Return the exponents of the symbols in a unit, as they are written; zeros are omitted.
 
     A unit is a product and quotient of symbols; an integer after a symbol is its power.
     """
@@ -73,12 +73,32 @@ def base_exponents(unit: str) -> dict[str, int]:
         signs += [-signs[-1] if operator == "/" else signs[-1]] * (len(opened) + 1)
         if bool(operator) != (end > 0) or symbol not in _SYMBOLS or len(closed) > len(signs) - 2:
             break
-        for base, exponent in _SYMBOLS[symbol].items():
-            powers[base] += signs[-1] * exponent * int(power or 1)
+        powers[symbol] += signs[-1] * int(power or 1)
         del signs[len(signs) - 1 - len(closed) :]
         end = factor.end()
     if end < len(unit) or not unit or len(signs) > 1:
         raise ValueError(f"{unit!r} is not a unit")
+    del powers["1"]
+    return {symbol: power for symbol, power in powers.items() if power}
+
+
+def exponents_in(where: Path | str, unit: str) -> dict[str, int]:
+    """Return `symbol_exponents`; InputError if the text is not a unit."""
+    try:
+        return symbol_exponents(unit)
+    except ValueError:
+        raise InputError(
+            where, f"has the unit {unit!r}, which is not known",
+            "write a product and quotient of SI units, like N.m.s/rad",
+        ) from None  # fmt: skip
+
+
+def base_exponents(unit: str) -> dict[str, int]:
+    """Return the exponents of kg, m, s, A, K and rad in a unit; zeros are omitted."""
+    powers: Counter[str] = Counter()
+    for symbol, power in symbol_exponents(unit).items():
+        for base, exponent in _SYMBOLS[symbol].items():
+            powers[base] += power * exponent
     return {symbol: power for symbol, power in powers.items() if power}
 
 

@@ -27,6 +27,7 @@ from models.plant.components.load import PlantLoad
 from models.plant.parameter import Parameter
 from models.plant.scope import Scope
 from models.shared.catalogue import EVERY_EFFECT, Port
+from models.trials.units import exponents_in
 
 PORTS: Final[tuple[Port, ...]] = (
     "sensor", "command", "stiffness", "mass", "bend_torque", "joint_torque", "servo_torque",
@@ -58,8 +59,8 @@ ORDER: Final[tuple[str, ...]] = (
     "encoder_offset", "encoder_ripple", "current_bias", "current_scale", "marker_frame_tilt",
     "marker_scale", "sync_offset", "sensor_lag",
 )  # fmt: skip
-"""Every effect of the catalogue. Where two effects of a port do not commute, the comment says why
-the one comes before the other."""
+"""Order within a port; an effect needs an entry only if it has to act before one of these. Where
+two effects do not commute, the comment says why the one comes before the other."""
 
 
 def in_order(names: Iterable[str]) -> list[str]:
@@ -121,8 +122,20 @@ class Effect:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if not hasattr(cls, "port"):
+        where, ports = f"effect class {cls.__module__}.{cls.__qualname__}", ", ".join(PORTS)
+        if not hasattr(cls, "name"):
+            raise InputError(where, "has no name", "set name in the class")
+        if not hasattr(cls, "port") and cls.name in EVERY_EFFECT:
             cls.port = EVERY_EFFECT[cls.name].port
+        if not hasattr(cls, "port"):
+            raise InputError(
+                where, f"has no port, and the catalogue has no row {cls.name!r}",
+                f"set port in the class to one of {ports}",
+            )  # fmt: skip
+        if cls.port not in PORTS:
+            raise InputError(where, f"has the port {cls.port!r}", f"choose from {ports}")
+        if not (cls.per_joint or cls.shared):
+            raise InputError(where, "has no strength", "give it a Parameter in per_joint or shared")
         EFFECTS[cls.name] = cls
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
@@ -162,18 +175,40 @@ PULLEY_M: Final = 0.1
 def _for_joint_kind(q: Parameter, name: str, scope: Scope) -> Parameter:
     """Parameter for a rotary or a linear joint.
 
-    Effects are written for a rotary joint. On a straight guide a torque becomes a force and an
-    angle a displacement, as for a belt on a pulley; value and bounds are scaled accordingly.
+    Effects are written for a rotary joint. On a straight guide a torque becomes a force, an inertia
+    a mass and an angle a displacement, as for a belt on a pulley; value and bounds are scaled
+    accordingly.
     """
+    q = msgspec.structs.replace(q, name=name)
     if scope.suffix["angle"] == "rad":
-        return msgspec.structs.replace(q, name=name)
-    above, _, below = q.unit.partition("/")
-    up, down = above.split("."), below.strip("()").split(".")
-    factor = PULLEY_M ** (up.count("rad") - down.count("rad") - up.count("m") + down.count("m"))
-    unit = q.unit.replace("N.m", "N").replace("rad", "m")
+        return q
+    powers = exponents_in(f"parameter {name}", q.unit)
+    torque, inertia, length = (powers.get(symbol, 0) for symbol in ("N", "kg", "m"))
+    # kg.m2 with a time may be a torque or a damping in base units.
+    if (torque or inertia) and length and (
+        length != torque + 2 * inertia or (inertia and "s" in powers)
+    ):  # fmt: skip
+        raise InputError(
+            f"parameter {name}", f"is in {q.unit}, which has no equivalent on a straight guide",
+            "write its unit with N.m for a torque and kg.m2 for an inertia",
+        )  # fmt: skip
+    levers = length if torque or inertia else 0
+    angle = powers.pop("rad", 0)
+    powers["m"] = length - levers + angle
+    factor = PULLEY_M ** (angle - levers)
     return msgspec.structs.replace(
-        q, name=name, unit=unit, value=q.value * factor, low=q.low * factor, high=q.high * factor
+        q, unit=_spelled(powers), value=q.value * factor, low=q.low * factor, high=q.high * factor
     )
+
+
+def _spelled(powers: Mapping[str, int]) -> str:
+    """Unit with these exponents, in the spelling of FMI."""
+    above, below = (
+        [s + (str(abs(n)) if abs(n) > 1 else "") for s, n in powers.items() if sign * n > 0]
+        for sign in (1, -1)
+    )
+    divisor = ".".join(below) if len(below) < 2 else f"({'.'.join(below)})"
+    return (".".join(above) or "1") + (divisor and f"/{divisor}")
 
 
 def applicable(drive: type[Drive], load: type[PlantLoad]) -> list[str]:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -13,8 +14,20 @@ from firmware_py.bus.registers import (
     Register,
     describe_alert,
 )
-from firmware_py.bus.servo_models import MODELS, check_servo
+from firmware_py.bus.servo_models import MODELS, check_servo, read_models
+from firmware_py.core.errors import InputError
 
+SERVOS = (Path(__file__).parents[3] / "firmware_py/bus/servos.toml").read_text(encoding="utf-8")
+ROW = """
+[models."new"]
+number = 9
+family = "X"
+motor = "H54"
+pulses_per_turn = 4096
+zero_pulse = 2048
+current_a_per_lsb = 2.69e-3
+velocity_rpm_per_lsb = 0.229
+"""
 models = st.sampled_from(list(MODELS.values()))
 EVERY_MODEL = pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
 
@@ -66,3 +79,24 @@ def test_thirty_degrees_are_as_many_pulses_as_published(number, pulses):
     model = MODELS[number]
     assert model.position_raw(math.radians(30.0)) == pulses
     assert model.position_raw(math.radians(-30.0)) == -pulses
+
+
+def test_a_table_of_a_further_model_is_read():
+    assert read_models(SERVOS + ROW).keys() == MODELS.keys() | {9}
+
+
+@pytest.mark.parametrize(
+    ("written", "instead", "named"),
+    [
+        ("number = 9", "number = 1200", ("1200", "XL330-M288")),
+        ('motor = "H54"', 'motor = "H45"', ("H45", "motors")),
+        ('family = "X"', 'family = "Y"', ("Y", "families")),
+        ("zero_pulse", "zero_puls", ("zero_puls",)),
+        ("number = 9", "", ("number",)),
+        ("number = 9", 'number = 9\nfactory = { "Goal" = 1 }', ("Goal",)),
+    ],
+)
+def test_a_wrong_table_is_refused_by_its_name(written, instead, named):
+    with pytest.raises(InputError) as refusal:
+        read_models(SERVOS + ROW.replace(written, instead))
+    assert all(word in str(refusal.value) for word in ("servos.toml", 'models."new"', *named))

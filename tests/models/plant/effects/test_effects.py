@@ -7,18 +7,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.core.errors import InputError
+from firmware_py.link.link_description import LinkDescription, LinkServo
 from models.plant import plant as plant_module
-from models.plant.effects import EFFECTS, ORDER, PORTS, Effect, in_order
+from models.plant.effects import EFFECTS, PORTS, Effect, in_order
 from models.plant.effects_page import main as write_page
+from models.plant.parameter import Parameter, parameter_of_link
 from models.plant.plant import read_plant, scope_of
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.shared.catalogue import CATALOGUE
+from models.shared.link_scale import LinkScale
 
 ALL = tuple(read_plant().applicable())
 """Effects of the link."""
 ROOT = Path(__file__).parents[4]
+
+
+@pytest.fixture
+def registry():
+    """Effects by name; what a test adds or reorders is undone afterwards."""
+    known = dict(EFFECTS)
+    yield EFFECTS
+    EFFECTS.clear()
+    EFFECTS.update(known)
 
 
 def test_every_effect_is_bounded_and_absent_by_default():
@@ -123,16 +136,51 @@ def test_the_applicable_effects_work_on_other_loads(plant_with, drive, load):
         assert grown.parameters["viscous_friction_1_n_s_m"].unit == "N.s/m"
 
 
+def one_parameter(unit, suffix, high):
+    """Effect of a single strength, registered as a file of the user would."""
+
+    class Extra(Effect):
+        name, port = "extra", "servo_torque"
+        per_joint = (Parameter(f"extra_{{j}}_{suffix}", unit, 0.0, 0.0, high, role="effect"),)
+
+    return Extra
+
+
+@pytest.mark.parametrize(
+    ("unit", "suffix", "linear", "factor"),
+    [
+        ("N.m.s2/rad2", "{torque}_s2_{angle}2", "N.s2/m2", 1000),
+        ("N.m/rad", "{torque}_{angle}", "N/m", 100),
+        ("rad/(N.m.s)", "{angle}_{torque}_s", "m/(N.s)", 0.01),
+        ("kg.m2", "kg_m2", "kg", 100),
+        ("m", "m", "m", 1),
+    ],
+)
+def test_on_a_straight_guide_bounds_are_those_of_a_belt_on_a_pulley(
+    registry, unit, suffix, linear, factor
+):
+    (q,) = one_parameter(unit, suffix, 20.0)().parameters(scope_of("force", "mass", 1))
+    assert q.unit == linear and q.high == pytest.approx(20 * factor)
+
+
+@pytest.mark.parametrize("unit", ["N.m2", "kg.m2/s", "Nm"])
+def test_a_unit_that_a_straight_guide_cannot_convert_is_refused(registry, unit):
+    effect = one_parameter(unit, "x", 20.0)()
+    with pytest.raises(InputError, match=r"extra_1_x.*'?" + unit):
+        effect.parameters(scope_of("force", "mass", 1))
+
+
+@pytest.mark.parametrize(
+    ("unit", "torques"), [("N.m.s2/rad2", 1), ("N.m", 1), ("rad/(N.m)", -1), ("rad", 0)]
+)
+def test_a_new_strength_is_scaled_to_the_servo_of_another_link(registry, unit, torques):
+    (q,) = one_parameter(unit, "x", 20.0)().parameters(scope_of("cascade", "link", 1))
+    scale = LinkScale(LinkDescription(servo=LinkServo(model="XM430-W350")))
+    ratio = scale.servo_ratios["torque_limit_nm"]
+    assert parameter_of_link(q, scale).high == pytest.approx(20 * ratio**torques)
+
+
 # --- order and registration -----------------------------------------------------------------------
-
-
-@pytest.fixture
-def registry():
-    """Effects by name; what a test adds or reorders is undone afterwards."""
-    known = dict(EFFECTS)
-    yield EFFECTS
-    EFFECTS.clear()
-    EFFECTS.update(known)
 
 
 @pytest.mark.slow
@@ -154,7 +202,7 @@ def test_the_order_of_definition_does_not_change_the_composed_model(registry, do
     registry.clear()
     registry.update(rows)
     assert composed([name for name in reversed(registry) if name in CATALOGUE]) == before
-    assert read_plant().applicable() == [e for e in ORDER if e in CATALOGUE]
+    assert read_plant().applicable() == in_order(CATALOGUE)
 
 
 @pytest.mark.parametrize(
@@ -166,6 +214,7 @@ def test_the_ports_are_applied_in_the_declared_order(registry, unit, ports):
     def probe(at):
         class Probe(Effect):
             name, port = f"probe_{at}", at
+            shared = (Parameter(f"probe_{at}", "1", 0.0, 0.0, 1.0, role="effect"),)
 
             def apply(self, scope):
                 applied.append(self.port)
@@ -177,6 +226,28 @@ def test_the_ports_are_applied_in_the_declared_order(registry, unit, ports):
     assert in_order(("probe_mass", "sync_offset", "probe_command", "encoder_offset")) == [
         "encoder_offset", "sync_offset", "probe_command", "probe_mass",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("fields", "missing"),
+    [
+        ({"port": "mass"}, "name"),
+        ({"name": "extra"}, "port.*catalogue.*joint_torque"),
+        ({"name": "extra", "port": "joint"}, "'joint'.*joint_torque"),
+        ({"name": "extra", "port": "mass"}, "strength.*per_joint"),
+    ],
+)
+def test_a_class_that_is_no_effect_is_refused_by_its_name(registry, fields, missing):
+    with pytest.raises(InputError, match="Unfinished.*" + missing):
+        type("Unfinished", (Effect,), fields)
+    assert "extra" not in registry
+
+
+def test_an_effect_of_a_file_is_listed(registry, capsys):
+    one_parameter("N.m.s2/rad2", "x", 20.0)
+    assert dropstitch(["list", "effects"]) == 0
+    (line,) = [row for row in capsys.readouterr().out.splitlines() if row.startswith("extra ")]
+    assert "N.m.s2/rad2" in line and "servo_torque" in line and "catalogue" in line
 
 
 def test_the_example_of_the_guide_is_an_effect(registry, monkeypatch, tmp_path):
