@@ -21,12 +21,12 @@ from firmware_py.core.console import emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.output_files import make_directory
 from firmware_py.inference.bundle import ModelBundle
+from hil.faults.fault_row import LINES
 
 if TYPE_CHECKING:
     from hil.faults.faults_document import CaseVerdict, FaultsDocument
 
 EXAMPLE = "dropstitch faults --bundle build/bundle_2dof --out build/faults"
-LINES = ("virtual", "socket", "process")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--line", nargs="+", choices=LINES, default=LINES,
         help="simulated time, real time, real processes (default: all)",
     )  # fmt: skip
-    parser.add_argument("--only", metavar="WORDS", help="faults whose name holds these words")
+    parser.add_argument("--only", metavar="WORDS", help="faults of these words, as 'servo silent'")
     parser.add_argument("--seed", type=int, default=1, help="the first (default: %(default)s)")
     parser.add_argument(
         "--seeds", type=int, default=1, metavar="N", help="on the virtual line (default: 1)"
@@ -58,13 +58,21 @@ def run(args: argparse.Namespace) -> int:
     if args.seeds < 1:
         raise InputError("--seeds", f"is {args.seeds}", "give at least 1")
     bundle = ModelBundle.load(args.bundle)
-    rows = [row for row in ROWS if not args.only or args.only in row.fault]
+    rows = [row for row in ROWS if (args.only or "") in f"{row.fault}, {row.how}"]
     seeds = range(args.seed, args.seed + args.seeds)
     cases = cases_of(bundle.manifest.dof, args.line, seeds, rows)
-    if not cases:
+    if not rows:
         raise InputError(
-            "--only", f"'{args.only}' leaves no fault", "see docs/safety/faults.md for names"
-        )
+            "--only", f"'{args.only}' is in the name of no fault",
+            "see docs/safety/faults.md for names",
+        )  # fmt: skip
+    if not cases:
+        if all(row.joints > bundle.manifest.dof for row in rows):
+            raise InputError(
+                "--only", f"'{args.only}' needs two joints", "give a bundle of two joints"
+            )
+        lines = " ".join(sorted({line for row in rows for line in row.lines}))
+        raise InputError("--only", f"'{args.only}' runs on another line", f"give --line {lines}")
     make_directory(args.out, "name another --out")
     with TemporaryDirectory(prefix="dropstitch-faults-") as scratch:
         plant = bundle.directory / "plant.json"

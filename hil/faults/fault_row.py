@@ -15,6 +15,10 @@ _TRUST_WORDS: Final = {
 }
 
 
+LINES: Final = ("virtual", "socket", "process")
+"""Simulated time; a socket, where timing matters; real processes."""
+
+
 @dataclass(frozen=True)
 class Injection:
     """One fault of a kind of `FAULT_KINDS`, whose start the seed sets."""
@@ -40,13 +44,15 @@ class Injection:
         return start + self.after <= count < start + self.after + self.times
 
 
+Outcome = Literal["finished", "tripped", "signalled", "refused", "killed", "finished or tripped"]
+"""End of a run: "refused" is before the torque is on, the last one depends on the seed."""
+
+
 @dataclass(frozen=True)
 class Expectation:
     """Outcome that a fault must have."""
 
-    # "finished", "tripped", "signalled", "refused" (before the torque is on), "killed", or
-    # "finished or tripped" if it depends on the seed
-    ended: str
+    ended: Outcome
     # Number of ticks within which the record must show the fault; None if it need not
     within: int | None = None
     # Largest number of missed ticks and ticks without fresh data; None if the robot stops anyway
@@ -59,7 +65,7 @@ class Expectation:
     trust: str = ""
 
     def __str__(self) -> str:
-        parts = [self.ended]
+        parts: list[str] = [self.ended]
         if self.within is not None:
             ticks = "tick" if self.within == 1 else "ticks"
             parts.append(f"detected within {self.within} {ticks}")
@@ -114,7 +120,6 @@ class FaultRow:
     how: str  # How often or how long
     must: Expectation
     injections: tuple[Injection, ...] = ()  # Empty if the set-up is the fault
-    # "virtual"; "socket" if timing matters; "process" for faults of processes
     lines: tuple[str, ...] = ("virtual",)
     setup: Setup = USUAL  # Differences from the usual robot
     models: tuple[int, ...] = (54025, 54024)  # Model numbers of the servos to test
@@ -122,7 +127,14 @@ class FaultRow:
     proves: tuple[str, ...] = ()  # Requirements of safety_requirements.toml
 
     def __post_init__(self) -> None:
+        if unknown := set(self.lines) - set(LINES):
+            raise ValueError(
+                f"{self.fault}: no line {unknown.pop()!r}: choose from {', '.join(LINES)}"
+            )
         for injection in self.injections:
+            if (injection.joint or 0) >= self.joints:
+                at = f"joint {injection.joint} of {self.joints}"
+                raise ValueError(f"{self.fault}: {at}: joints count from 0, see `joints`")
             of_process = injection.does.where in ("process", "bundle")
             if of_process != (self.lines == ("process",)):
                 lines = "the line 'process' alone" if of_process else "another line than 'process'"

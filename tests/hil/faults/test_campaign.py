@@ -241,3 +241,18 @@ def test_the_verdicts_are_written_after_each_case(monkeypatch, tmp_path):
     call(monkeypatch, tmp_path, run, "--only", "lost reply")
     assert written == list(range(len(written)))
     assert read_faults(tmp_path / "faults.json").not_run == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "cause"),
+    [
+        ("SIGTERM", "--line process"),
+        ("one servo silent, once", "two joints"),
+        ("noyse", "no fault"),
+    ],
+)
+def test_faults_that_this_bundle_or_line_does_not_have_are_refused(
+    monkeypatch, tmp_path, capsys, words, cause
+):
+    assert call(monkeypatch, tmp_path, None, "--only", words) == 2
+    assert cause in capsys.readouterr().err

@@ -33,6 +33,16 @@ def test_a_fault_on_a_line_where_it_cannot_act_is_refused(kind, line):
         FaultRow("x", "y", Expectation("finished"), (Injection(kind),), (line,))
 
 
+@pytest.mark.parametrize(
+    ("changes", "injection"),
+    [({"lines": ("virtul",)}, {}), ({}, {"joint": 1}), ({"joints": 2}, {"joint": 2})],
+    ids=["no line", "a second joint of one", "a third joint of two"],
+)
+def test_a_row_of_a_line_or_joint_that_does_not_exist_is_refused(changes, injection):
+    with pytest.raises(ValueError, match="x: "):
+        FaultRow("x", "y", Expectation("finished"), (Injection("lost", **injection),), **changes)
+
+
 @pytest.mark.parametrize("kind", OF_REPLIES)
 def test_a_fault_of_the_line_acts_in_its_exchanges_and_no_other(kind):
     script = FaultSchedule((Injection(kind, 2, 5e-3),), seed=3)
