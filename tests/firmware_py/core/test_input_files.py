@@ -193,3 +193,14 @@ def test_a_small_graph_that_makes_large_numbers_is_refused(tmp_path):
     onnx.save(model, tmp_path / "predictor.onnx")
     with pytest.raises(InputError, match=r"cannot be evaluated|onnxruntime can load"):
         OnnxPredictor(tmp_path / "predictor.onnx", 1)
+
+
+def test_an_integer_of_thousands_of_digits_is_refused_in_our_words(tmp_path):
+    path = tmp_path / "long"
+    for content, read in (
+        ("x = 1" + 5000 * "0", lambda: read_toml(path)),
+        ("1" + 5000 * "0", lambda: read_json(path, "write it anew")),
+    ):
+        path.write_text(content)
+        with pytest.raises(InputError, match=r"long: .* an integer of more than 4300 digits\);"):
+            read()
