@@ -89,6 +89,20 @@ def limited_memory(
             resource.setrlimit(resource.RLIMIT_AS, before)
 
 
+def resolved(path: Path) -> Path:
+    """Return the absolute path without links; refuse links that lead back to themselves."""
+    try:
+        return path.resolve()
+    except RuntimeError:  # Python 3.13 returns the path instead, which then cannot be opened
+        raise InputError(
+            path, "is a symbolic link that leads back to itself", "remove it, or name another path"
+        ) from None
+    except OSError as error:  # the working directory was removed
+        raise InputError(
+            path, f"cannot be resolved ({error.strerror})", "name an absolute path"
+        ) from None
+
+
 def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> BinaryIO:
     """Open a regular file of at most `most` bytes.
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import resolved
 
 
 def check_output_directory(
@@ -35,7 +36,7 @@ def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
 
 def is_same_file(a: Path, b: Path) -> bool:
     """Whether two paths lead to one file or directory, also if a link or the case differs."""
-    return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
+    return resolved(a) == resolved(b) or (a.exists() and b.exists() and a.samefile(b))
 
 
 def _check_place(path: Path) -> None:
