@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from firmware_py.bus import bus_plan
 from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import RETURN_DELAY_STEP_S, Register
-from firmware_py.bus.servo_models import ServoGains, model_named
+from firmware_py.bus.servo_models import ServoGains, check_models, model_named
 from firmware_py.bus.servo_setup import AssumedSettings, ServoSetup, check_assumed, check_ids
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.core.errors import InputError
@@ -140,6 +140,7 @@ def read_config(path: Path | str) -> RobotConfig:
     path = Path(path)
     document = read_toml(path, "copy the commented robot.toml and adapt it")
     config = convert(document, RobotConfig, path, "", "see the commented robot.toml for every key")
+    check_models([servo.model for servo in config.servos], path)
     if config.motion.file is not None:
         motion = config.motion.with_file(path.parent / config.motion.file)
         config = msgspec.structs.replace(config, motion=motion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import ARCHIVE_DAMAGE, check_archive, open_bounded
-from firmware_py.inference.fmu_instance import platform_here
+from firmware_py.inference.fmu_instance import check_elf, platform_here
 from fmu.packaging import PLATFORMS
 
 InterfaceType = Literal["CoSimulation", "ModelExchange"]
@@ -71,7 +72,6 @@ class FmuArchive:
 
         Only an instance for co-simulation can `step` and `run`.
         """
-        self.binary()
         return FmpyInstance(self, interface_type)
 
     def close(self) -> None:
@@ -92,10 +92,21 @@ class FmpyInstance:
         self.messages: list[str] = []
         self.variables = {v.name: v for v in archive.description.modelVariables}
         # A logger is always given, because FMPy does not keep its own alive.
-        self.fmu: Any = instantiate_fmu(
-            str(archive.directory), archive.description, interface_type,
-            debug_logging=True, logger=self._log,
-        )  # fmt: skip
+        try:
+            check_elf(archive.binary().read_bytes())
+            with contextlib.chdir("."):  # after an error FMPy stays in the library's directory
+                self.fmu: Any = instantiate_fmu(
+                    str(archive.directory), archive.description, interface_type,
+                    debug_logging=True, logger=self._log,
+                )  # fmt: skip
+        except InputError:
+            raise
+        except Exception as error:  # FMPy raises no narrower type
+            reason = self.messages[-1] if self.messages else error
+            raise InputError(
+                archive.path, f"cannot be instantiated ({reason})",
+                "build the FMU again, or set TMPDIR to a directory from which programs may run",
+            ) from None  # fmt: skip
         self.time_s = 0.0
 
     def _log(self, *arguments: Any) -> None:

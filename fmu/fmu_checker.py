@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import AGE, IN_RANGE, PERIOD_S, feature_names, tip_names
+from firmware_py.inference.fmu_instance import check_elf
 from firmware_py.inference.predictor import OnnxPredictor, Prediction
 from fmu.documents import FMU_PARITY, ReferenceRun, read_reference_run
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
@@ -218,6 +219,7 @@ def _units(archive: FmuArchive) -> FmuCheck:
 def _exports(archive: FmuArchive) -> FmuCheck:
     wanted = exported_functions(archive.fmi)
     try:
+        check_elf(archive.binary().read_bytes())
         library = ctypes.CDLL(str(archive.binary()))
     except OSError as error:
         return FmuCheck("binary", False, f"does not load ({error})")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +22,7 @@ __all__ = [
     "Model",
     "ServoGains",
     "ServoPreset",
+    "check_models",
     "check_servo",
     "model_named",
     "read_models",
@@ -276,3 +277,13 @@ def model_named(name: str) -> Model:
         if model.name == name:
             return model
     raise InputError(f"servo model {name!r}", "is not known", f"use one of {', '.join(PRESETS)}")
+
+
+def check_models(names: Sequence[str], where: Path | str) -> None:
+    """Refuse the model of an entry of `[[servos]]` that is not known."""
+    for k, name in enumerate(names):
+        if name not in PRESETS:
+            raise InputError(
+                where, f"servos[{k}].model is {name!r}, which is not known",
+                f"use one of {', '.join(PRESETS)}",
+            )  # fmt: skip

@@ -17,9 +17,12 @@ import serial
 from firmware_py.core.errors import InputError
 from firmware_py.system.clock import Clock
 
+_OPENING_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError)
 if sys.platform != "win32":  # Windows reads configurations, too
     import fcntl
     import termios
+
+    _OPENING_ERRORS += (termios.error,)  # of a device that vanishes meanwhile; no OSError
 
 BAUD_RATES: Final = (
     9600, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000,
@@ -63,7 +66,7 @@ class SerialTransport:
     def __init__(self, path: str, baud: int, clock: Clock) -> None:
         try:
             self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
-        except (serial.SerialException, OSError, ValueError) as error:
+        except _OPENING_ERRORS as error:
             raise InputError(
                 path or "port", f"cannot be opened ({error})", _port_remedy(path)
             ) from None
@@ -112,7 +115,7 @@ class SocketTransport:
         except OSError as error:
             self._socket.close()
             raise InputError(
-                f"unix:{path}", f"cannot be connected to ({error.strerror})",
+                f"unix:{path}", f"cannot be connected to ({error.strerror or error})",
                 "start the emulator with 'dropstitch emulate --line socket'",
             ) from None  # fmt: skip
         self._socket.setblocking(False)

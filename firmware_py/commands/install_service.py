@@ -15,6 +15,7 @@ from typing import Final
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.core.console import DONE, emit
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import resolved
 
 if sys.platform != "win32":  # --help works on Windows
     import pwd
@@ -111,7 +112,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write both files, or print them."""
-    path = args.config.resolve()
+    path = resolved(args.config)
     config = read_config(path)
     files = {SERVICE_PATH: service_file(config, path, args.user), RULE_PATH: _RULE}
     if args.dry_run:

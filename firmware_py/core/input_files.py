@@ -89,6 +89,20 @@ def limited_memory(
             resource.setrlimit(resource.RLIMIT_AS, before)
 
 
+def resolved(path: Path) -> Path:
+    """Return the absolute path without links; refuse links that lead back to themselves."""
+    try:
+        return path.resolve()
+    except RuntimeError:  # Python 3.13 returns the path instead, which then cannot be opened
+        raise InputError(
+            path, "is a symbolic link that leads back to itself", "remove it, or name another path"
+        ) from None
+    except OSError as error:  # the working directory was removed
+        raise InputError(
+            path, f"cannot be resolved ({error.strerror})", "name an absolute path"
+        ) from None
+
+
 def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> BinaryIO:
     """Open a regular file of at most `most` bytes.
 
@@ -172,7 +186,13 @@ def read_toml(
     `missing`, `damaged`: remedies in the message if the file is missing or is not TOML.
     `tables`: keys at the top to return; the values of others are not checked. None returns all.
     """
-    data = read_bytes(path, missing, MOST_TOML_BYTES)
+    return parse_toml(path, read_bytes(path, missing, MOST_TOML_BYTES), damaged, tables)
+
+
+def parse_toml(
+    path: Path | str, data: bytes, damaged: str = "", tables: Collection[str] | None = None
+) -> dict[str, Any]:
+    """Return the tables of the content of a TOML file; see `read_toml`."""
     damaged = damaged or "correct the line it names"
     if max(map(_dots, _TOML_SEPARATOR.split(data))) > _MOST_KEY_DOTS:
         raise InputError(path, f"has a name of more than {_MOST_KEY_DOTS} parts", damaged)
@@ -187,7 +207,15 @@ def read_toml(
     except UnicodeDecodeError as error:
         raise _no_utf_8(path, data, error) from None
     except ValueError as error:  # not TOML, or a number with too many digits
-        raise InputError(path, f"is not TOML ({error})", damaged) from None
+        raise InputError(path, f"is not TOML ({_reason(error)})", damaged) from None
+
+
+def _reason(error: ValueError) -> str:
+    """Return why a text cannot be parsed; Python's advice on long integers is for programmers."""
+    text = str(error)
+    if "set_int_max_str_digits" in text:
+        return f"it holds an integer of more than {sys.get_int_max_str_digits()} digits"
+    return text
 
 
 def _no_utf_8(path: Path | str, data: bytes, error: UnicodeDecodeError) -> InputError:
@@ -234,7 +262,7 @@ def decode_json(path: Path | str, data: bytes, remedy: str) -> Any:
     except RecursionError:
         raise InputError(path, "is not JSON (it is too deeply nested)", remedy) from None
     except ValueError as error:  # format, encoding, or too many digits of a number
-        raise InputError(path, f"is not JSON ({error})", remedy) from None
+        raise InputError(path, f"is not JSON ({_reason(error)})", remedy) from None
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

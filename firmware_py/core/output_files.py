@@ -1,13 +1,17 @@
-"""Writing of files: directories, and files whose old content stays until the new is complete."""
+"""Writing of files: directories of one run each, and files that are replaced when complete."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from firmware_py.core.errors import InputError
+
+if sys.platform != "win32":
+    import fcntl
 
 
 @contextlib.contextmanager
@@ -45,3 +49,30 @@ def make_directory(path: Path, remedy: str) -> None:
     except OSError as error:
         what = f"cannot be made a directory ({error.strerror})"
         raise InputError(path, what, remedy) from None
+
+
+@contextlib.contextmanager
+def locked_directory(directory: Path) -> Iterator[None]:
+    """Lock the directory of --out during the block; refuse one that another run has locked.
+
+    The lock ends with the process, however that ends; its file `.lock` stays.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    try:
+        file = (directory / ".lock").open("w")
+    except OSError as error:
+        raise InputError(
+            directory, f"cannot be written to ({error.strerror})", "name another --out"
+        ) from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(
+                directory, "is in use by another run", "wait, or name another --out"
+            ) from None
+        except OSError:  # a file system without locks
+            pass
+        yield

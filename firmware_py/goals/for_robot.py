@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -157,7 +156,6 @@ def outside_goals(
         goal_map = read_goal_map(map_path)
         _check_fit(map_path, goal_map, config, "make it anew")
         note = note_on_plant(str(map_path), goal_map.plant_sha256, goal_map.link, bundle)
-    print(f"waiting at {address} for the program that sends the goals", file=sys.stderr)
     with accepted_program(address, WAIT_S, patience_s) as channel:
         yield OutsideGoals(
             channel, config.limits_in_force, config.dof, config.period_s, goal_map,

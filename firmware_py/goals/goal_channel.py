@@ -12,6 +12,7 @@ import contextlib
 import math
 import socket
 import stat
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, Protocol
@@ -163,6 +164,7 @@ def accepted_program(
                 "name a path in a directory of your own",
             ) from None  # fmt: skip
         try:
+            print(f"waiting at {address} for the program that sends the goals", file=sys.stderr)
             listener.settimeout(wait_s)
             connection = listener.accept()[0]
         except TimeoutError:

@@ -10,6 +10,7 @@ import ctypes
 import functools
 import io
 import platform
+import struct
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
@@ -71,7 +72,7 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
     except OSError as error:
         raise InputError(
             path, f"its binary does not load ({error})",
-            "set TMPDIR to a directory from which programs may run, or build the FMU again",
+            "build the FMU again, or set TMPDIR to a directory from which programs may run",
         ) from None  # fmt: skip
     absent = [function for function in _FUNCTIONS if not hasattr(loaded, function)]
     if absent:
@@ -79,9 +80,34 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
     return root, variables, loaded
 
 
+def check_elf(binary: bytes) -> None:
+    """Raise OSError if an ELF file ends before its segments do; others are left to the loader.
+
+    The loader maps such a file without an error, and the first access beyond its end kills the
+    process (SIGBUS). Layout of the headers: System V ABI, chapter 4, "ELF Header".
+    """
+    if not binary.startswith(b"\x7fELF"):
+        return
+    try:
+        wide, order = binary[4] == 2, "<" if binary[5] == 1 else ">"
+        (first,) = struct.unpack_from(
+            f"{order}Q" if wide else f"{order}I", binary, 32 if wide else 28
+        )
+        size, count = struct.unpack_from(f"{order}2H", binary, 54 if wide else 42)
+        header = f"{order}2I4Q" if wide else f"{order}5I"
+        for k in range(count):
+            fields = struct.unpack_from(header, binary, first + k * size)
+            offset, length = (fields[2], fields[5]) if wide else (fields[1], fields[4])
+            if offset + length > len(binary):
+                raise OSError("the file is cut short")
+    except (struct.error, IndexError):
+        raise OSError("the file is cut short") from None
+
+
 @functools.lru_cache(maxsize=16)
 def _loaded(binary: bytes, name: str) -> ctypes.PyDLL:
     """Load a library from bytes, cached because a process never unmaps it."""
+    check_elf(binary)
     # Windows cannot delete a mapped file: its own clean-up removes the directory later.
     with TemporaryDirectory(prefix="dropstitch-fmu-", ignore_cleanup_errors=True) as private:
         library = Path(private) / name

@@ -160,17 +160,22 @@ def main() -> int:
 
 
 def _record() -> int:
-    task = msgspec.json.decode(sys.stdin.buffer.read(), type=RecorderTask)
+    handed = sys.stdin.buffer.read()
+    if not handed:  # a signal ended the loop first
+        return 1
+    task = msgspec.json.decode(handed, type=RecorderTask)
     end = socket.socket(fileno=task.fd)
     try:
         sinks = list(_sinks(task))
     except InputError as error:
-        end.send(msgspec.json.encode((error.where, error.what, error.remedy)))
+        with contextlib.suppress(OSError):  # a signal ended the loop meanwhile
+            end.send(msgspec.json.encode((error.where, error.what, error.remedy)))
         return 1
     shape = shape_in(task.metadata)
     scene = SceneEncoder(task.dof, shape) if shape else None
     packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    end.send(_READY)
+    with contextlib.suppress(OSError):  # likewise; the log then is complete without a tick
+        end.send(_READY)
     threading.Thread(target=_receive, args=(end, packets), daemon=True).start()
     code = _pass_on(packets, list(sinks), TickEncoder(task.dof, task.start_ns), scene)
     ticks = next((sink.ticks for sink in sinks if sink.ticks is not None), None)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import resolved
 from firmware_py.core.units import FILE_SIZE
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
     kind: Kind = args.kind
     output = _output(args)
-    for_robot = kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve()
+    for_robot = kind == "observer" and resolved(output) == resolved(args.bundle / _OBSERVER)
     if for_robot and args.fmi != 3:
         raise InputError("--fmi 2", "cannot run on the robot (FMI 3.0)", "omit --fmi or give --out")
     platforms = platform_names(args.platforms)

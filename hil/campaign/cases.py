@@ -17,6 +17,7 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import resolved
 from hil.campaign.code_version import code_version, content_sha256
 from hil.campaign.kinds.case_kind import CaseKind, CaseOptions
 from hil.campaign.worker import CaseTask
@@ -62,7 +63,7 @@ class CaseMaker:
     def task(self, case: CampaignCase) -> CaseTask:
         """Return a case's task for a worker, with absolute paths; shared files are made first."""
         options = self.kind.prepare(case.options, self._directory)
-        paths = {name: str(Path(p).resolve()) for name, p in options.files().items()}
+        paths = {name: str(resolved(Path(p))) for name, p in options.files().items()}
         return CaseTask(
             key=case.key, kind=self._module, code=self.code,
             options=msgspec.json.encode(msgspec.structs.replace(options, **paths)),

@@ -15,22 +15,15 @@ from __future__ import annotations
 import csv
 import hashlib
 import itertools
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
 
 from firmware_py.core.documents import Document, read_document, write_document
-from firmware_py.core.errors import InputError
 from firmware_py.core.output_files import make_directory, write_whole
 from hil.campaign.cases import CampaignCase, canonical_json
 from hil.campaign.worker import CaseCost, CaseOutcome, State
-
-if sys.platform != "win32":  # --help, the schemas and the report work there
-    import fcntl
 
 
 class CaseRecord(Document, frozen=True, kw_only=True):
@@ -69,26 +62,6 @@ class ResultStore:
         self.shared, self.costs = directory / "shared", directory / "costs.csv"
         for path in (directory / "results", directory / "failures", self.shared):
             make_directory(path, "name another --out")
-
-    @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Lock the directory against other campaigns during the block."""
-        try:
-            file = (self.directory / ".lock").open("w")
-        except OSError as error:
-            raise InputError(
-                self.directory, f"cannot be written to ({error.strerror})", "name another --out"
-            ) from None
-        with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InputError(
-                    self.directory, "is in use by another campaign", "wait, or name another --out"
-                ) from None
-            except OSError:  # a file system without locks
-                pass
-            yield
 
     def path(self, key: str) -> Path:
         return self.directory / "results" / key[:2] / f"{key}.json"

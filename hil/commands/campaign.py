@@ -19,6 +19,7 @@ import msgspec
 from firmware_py.core.console import DONE, NEGATIVE, emit
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import locked_directory
 
 if TYPE_CHECKING:
     from hil.campaign.executors import Workers
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if any(case.options.in_real_time for case in cases):
         _check_alone(args)
     store = ResultStore(args.out)
-    with store.locked():
+    with locked_directory(store.directory):
         (args.out / "campaign.toml").write_bytes(args.spec.read_bytes())
         last_run = run_cases(cases, maker, store, _workers(args))
         rows = summary_rows(cases, store)

@@ -26,6 +26,7 @@ from typing import Final, NamedTuple
 
 from firmware_py.bus.bus_plan import BITS_PER_BYTE
 from firmware_py.bus.codec import PacketSearch
+from firmware_py.core.errors import InputError
 from firmware_py.system.clock import SimClock
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.line_faults import FaultPlan
@@ -180,8 +181,15 @@ def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[]
     The function returns the connection's descriptor, or None if `stop_fd` becomes readable first.
     """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    listener.bind(str(path))
-    listener.listen(1)
+    try:
+        listener.bind(str(path))
+        listener.listen(1)
+    except OSError as error:
+        listener.close()
+        raise InputError(
+            f"--path {path}", f"cannot be opened ({error.strerror or error})",
+            "name a path in an existing directory of your own, of at most 107 bytes",
+        ) from None  # fmt: skip
     connections: list[socket.socket] = []
 
     def accept() -> int | None:

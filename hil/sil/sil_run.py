@@ -25,7 +25,7 @@ import msgspec
 
 from firmware_py.config import RobotConfig, check_config
 from firmware_py.core.errors import InputError
-from firmware_py.core.output_files import make_directory
+from firmware_py.core.output_files import locked_directory, make_directory
 from firmware_py.goals.for_robot import (
     RunGoals,
     goals_of_motion,
@@ -130,10 +130,11 @@ def _run(options: SilOptions, scratch: Path) -> SilResult:
     specification = options.emulator(source)
     check_config(sil_config(options, options.line), "--baud")
     make_directory(options.out, "name another --out")
-    if options.line == "virtual":
-        result = _run_on_virtual_line(options, specification)
-    else:
-        result = _run_in_real_time(options, options.line, specification, scratch)
+    with locked_directory(options.out):
+        if options.line == "virtual":
+            result = _run_on_virtual_line(options, specification)
+        else:
+            result = _run_in_real_time(options, options.line, specification, scratch)
     return replace(result, link=_link_conditions(source, options))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import onnx
 
 from firmware_py.core.errors import DropstitchError, InputError
-from firmware_py.core.input_files import read_json
+from firmware_py.core.input_files import read_json, resolved
 from firmware_py.core.signals import feature_names, tip_names, unit_of
 from firmware_py.inference.bundle import POLYNOMIAL, PREDICTOR
 from firmware_py.inference.bundle_signature import SIGNATURE
@@ -58,7 +58,7 @@ def check_bundle_directory(directory: Path) -> None:
 def replaced_bundle(directory: Path) -> Iterator[Path]:
     """Empty directory whose files replace those of an old bundle if the body succeeds."""
     check_bundle_directory(directory)
-    directory = directory.resolve()
+    directory = resolved(directory)
     directory.parent.mkdir(parents=True, exist_ok=True)
     place = directory if directory.exists() else directory.parent  # on the same file system
     with tempfile.TemporaryDirectory(

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import resolved
 
 
 def check_output_directory(
@@ -39,7 +40,7 @@ def _identities(paths: Iterable[Path]) -> set[tuple[int, int]]:
     identities = set()
     for path in paths:
         with contextlib.suppress(OSError, ValueError):
-            status = path.resolve().stat()
+            status = resolved(path).stat()
             identities.add((status.st_dev, status.st_ino))
     return identities
 

@@ -21,7 +21,7 @@ import numpy as np
 import tomli_w
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import convert, read_lines, read_toml
+from firmware_py.core.input_files import convert, read_lines, read_toml, resolved
 from firmware_py.core.motion import KINDS
 from firmware_py.core.output_files import replacing, write_whole
 from firmware_py.core.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
@@ -135,7 +135,7 @@ def read_trial_directories(
 
     If two directories hold a trial of the same name, the directory's name is put in front.
     """
-    if len({d.resolve() for d in directories}) < len(directories):
+    if len(set(map(resolved, directories))) < len(directories):
         raise InputError(directories[-1], "is named twice", "name each directory once")
     trials = [(d, trial) for d in directories for trial in read_trials(d, signals)]
     counts = Counter(trial.name for _, trial in trials)

@@ -56,9 +56,12 @@ WRONG = {
     "unknown key in a table": (MINIMAL.replace("port", "baudd = 1\nport"), r"baudd.*\$\.bus"),
     "missing key": (MINIMAL.replace("port", "# port"), r"port.*\$\.bus"),
     "wrong type": (MINIMAL.replace("id = 1", "id = 'one'"), r"int.*servos"),
+    "unknown servo": (
+        MINIMAL + second_servo().replace("H54", "H5x"),
+        r"robot.toml: servos\[1\].model is 'H5x-.*XM430-W350",
+    ),
     "no TOML": (MINIMAL + "[bus", "is not TOML"),
     "another schema": ("schema = 2\n" + MINIMAL, "schema is 2"),
-    "unknown servo": (MINIMAL.replace("H54-200", "H55-200"), "XM430-W350"),
     "three servos": (MINIMAL + second_servo(2) + second_servo(3), "3 entries"),
     "one id twice": (MINIMAL + second_servo(1), r"\[1, 1\]"),
     "a baud rate that no servo has": (MINIMAL.replace("[bus]", "[bus]\nbaud = 1000"), "1000000"),

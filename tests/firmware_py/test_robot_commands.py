@@ -262,3 +262,22 @@ def test_torque_goes_off_despite_a_mistake_elsewhere_in_the_file(servos, config,
     assert call("run", "--config", config)[0] == 2
     assert call("release", "--config", config)[0] == 0
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
+@pytest.mark.parametrize(
+    "mistake", [b"no TOML\n", b"[limits\n", b"# caf\xe9\n", b"x = 1" + 5000 * b"0" + b"\n"]
+)
+def test_torque_goes_off_despite_a_file_that_is_no_toml(servos, config, call, mistake):
+    servos.put(1, Register.TORQUE_ENABLE, 1)
+    config.write_bytes(mistake + config.read_bytes() + b"[link]\n" + mistake)
+    assert call("run", "--config", config)[0] == 2
+    code, output = call("release", "--config", config)
+    assert code == 0
+    assert "Only [bus] and [[servos]] are read" in output.err and output.err.count("\n") == 1
+    assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
+def test_a_mistake_in_the_bus_itself_is_refused_by_release(config, call):
+    config.write_text(config.read_text().replace("[bus]", "[bus]\nno TOML"))
+    code, output = call("release", "--config", config)
+    assert (code, "is not TOML" in output.err, output.err.count("\n")) == (2, True, 1)

@@ -135,6 +135,31 @@ def test_check_fails_an_fmu_whose_binary_lacks_a_function(twin, tmp_path, capsys
 
 
 @pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda data: data[:30], "the file is cut short"),
+        (lambda data: data[:9000], "the file is cut short"),  # mapped, its use ends the process
+        (lambda _: 100 * b"no library ", "invalid ELF header"),
+    ],
+)
+def test_a_damaged_library_is_named_by_check_and_simulate(twin, tmp_path, capsys, damage, words):
+    def change(files):
+        name = next(n for n in files if n.endswith(".so"))
+        files[name] = damage(files[name])
+
+    damaged = str(rewritten(twin, tmp_path / "cut.fmu", change))
+    place = Path.cwd()
+    assert main(["fmu", "check", damaged]) == 1
+    out = capsys.readouterr().out
+    assert "does not load" in out and words in out
+    assert main(["fmu", "simulate", damaged, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "cut.fmu: cannot be instantiated" in error and words in error
+    assert error.count("\n") == 1
+    assert Path.cwd() == place
+
+
+@pytest.mark.parametrize(
     ("command", "words"),
     [
         ("simulate TWIN --set parameters.link_mass_kg=1e6", "link_mass_kg = 1e+06 lies outside"),

@@ -16,6 +16,7 @@ import msgspec
 from firmware_py.config import read_config
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import resolved
 from firmware_py.safety.limits import Limits
 from models.commands.gap_workflow.gap import DIAGNOSIS_FILES
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
@@ -186,7 +187,7 @@ def _diagnose_again(
     from models.gap.experiment.rival import credible_set, rivals_of
     from models.gap.report.diagnosis_files import write_diagnosis
 
-    directories = (*inputs.trials, str((out.with_suffix("") / "trials").resolve()))
+    directories = (*inputs.trials, str(resolved(out.with_suffix("") / "trials")))
     inputs = msgspec.structs.replace(inputs, trials=directories, trials_sha256="")
     trials = _trials(inputs, plant)
     inputs = msgspec.structs.replace(inputs, trials_sha256=trials.content_sha256())

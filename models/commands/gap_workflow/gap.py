@@ -14,6 +14,7 @@ import msgspec
 
 from firmware_py.core.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import resolved
 from models.plant.plant import read_plant
 from models.shared.output_paths import check_output_directory
 from models.trials.files import read_trial_directories
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             )
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(
-        str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials),
+        str(resolved(args.plant)), plant.sha256(), tuple(str(resolved(d)) for d in args.trials),
         trials.content_sha256(), args.dof,
     )  # fmt: skip
     settings = GapSettings(same_link=args.same_link)

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 import msgspec
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import convert, read_text, read_toml
+from firmware_py.core.input_files import convert, read_text, read_toml, resolved
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, read_link
 from firmware_py.link.marker_layout import MarkerLayout
@@ -317,7 +317,7 @@ def _refuse_one_name(files: Sequence[Path]) -> None:
     known: dict[str, Path] = {}
     for file in files:
         other = known.setdefault(file.stem.casefold(), file)
-        if other is not file and other.resolve() == file.resolve():
+        if other is not file and resolved(other) == resolved(file):
             raise InputError(file, "is named twice", "name each recording once")
         if other is not file:
             what = f"would become a trial of the same name as {other}"

@@ -3,6 +3,7 @@
 import fcntl
 import os
 import socket
+import termios
 import threading
 import tty
 
@@ -14,7 +15,7 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.transport import open_transport
 from firmware_py.core.errors import InputError
 from firmware_py.system.clock import DeadlineClock, SimClock
-from tests.firmware_py.bus.tampered import TapeTransport
+from tests.firmware_py.bus.tampered import PRO_A, TapeTransport, make
 
 PATIENCE_NS = 5_000_000_000
 
@@ -127,6 +128,40 @@ def test_a_usb_adapter_is_asked_to_pass_bytes_on_at_once(monkeypatch):
 def test_a_port_that_is_not_there_is_refused_by_name(name):
     with pytest.raises(InputError, match="no-such"):
         open_transport(name, 1_000_000, DeadlineClock())
+
+
+def test_a_path_that_is_too_long_for_a_socket_is_refused_with_the_reason():
+    with pytest.raises(InputError, match="path too long"):
+        open_transport(f"unix:{'a' * 200}", 1_000_000, DeadlineClock())
+
+
+def test_a_device_that_vanishes_while_it_is_opened_is_refused_and_the_next_one_tried(
+    tmp_path, monkeypatch
+):
+    """The serial library does not catch the error of the terminal, which is no OSError."""
+    flush, flushed = termios.tcflush, []
+
+    def vanish(fd, queue):
+        flushed.append(fd)
+        if len(flushed) == 1:
+            raise termios.error(5, "Input/output error")
+        return flush(fd, queue)
+
+    monkeypatch.setattr(termios, "tcflush", vanish)
+    master, slave = os.openpty()
+    try:
+        for name in ("tty-a", "tty-b"):
+            (tmp_path / name).symlink_to(os.ttyname(slave))
+        open_transport(str(tmp_path / "tty-*"), 1_000_000, DeadlineClock()).close()
+        flushed.clear()
+        bus, *_ = make(
+            PRO_A,
+            opener=lambda: open_transport(str(tmp_path / "tty-a"), 1_000_000, DeadlineClock()),
+        )
+        assert not bus.reopen()
+    finally:
+        os.close(master)
+        os.close(slave)
 
 
 def test_a_name_with_wildcards_is_the_first_that_opens(tmp_path):

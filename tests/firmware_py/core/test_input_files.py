@@ -3,6 +3,7 @@
 import os
 import resource
 import sys
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -20,6 +21,7 @@ from firmware_py.core.input_files import (
     read_lines,
     read_text,
     read_toml,
+    resolved,
 )
 from firmware_py.core.motion import read_motion_document
 from firmware_py.inference.bundle import read_manifest
@@ -193,3 +195,28 @@ def test_a_small_graph_that_makes_large_numbers_is_refused(tmp_path):
     onnx.save(model, tmp_path / "predictor.onnx")
     with pytest.raises(InputError, match=r"cannot be evaluated|onnxruntime can load"):
         OnnxPredictor(tmp_path / "predictor.onnx", 1)
+
+
+def test_an_integer_of_thousands_of_digits_is_refused_in_our_words(tmp_path):
+    path = tmp_path / "long"
+    for content, read in (
+        ("x = 1" + 5000 * "0", lambda: read_toml(path)),
+        ("1" + 5000 * "0", lambda: read_json(path, "write it anew")),
+    ):
+        path.write_text(content)
+        with pytest.raises(InputError, match=r"long: .* an integer of more than 4300 digits\);"):
+            read()
+
+
+def test_a_link_that_leads_back_to_itself_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "link").symlink_to("nowhere")
+    assert resolved(tmp_path / "link") == tmp_path / "nowhere"
+    if sys.version_info < (3, 13):  # from then on only opening it fails
+        with pytest.raises(InputError, match="loop: is a symbolic link that leads back to itself"):
+            resolved(tmp_path / "loop")
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(InputError, match="name an absolute path"):
+        resolved(Path("here"))

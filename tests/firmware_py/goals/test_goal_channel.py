@@ -70,7 +70,7 @@ def test_one_program_connects_and_the_path_is_gone_afterwards(tmp_path):
     ends[0].close()
 
 
-def test_addresses_that_cannot_be_are_refused(tmp_path):
+def test_addresses_that_cannot_be_are_refused(tmp_path, capsys):
     def open_(address):
         with accepted_program(address, 0.01):
             pass
@@ -83,6 +83,8 @@ def test_addresses_that_cannot_be_are_refused(tmp_path):
     ):
         with pytest.raises(InputError, match=sentence):
             open_(address)
+        waiting = f"waiting at {address} " in capsys.readouterr().err
+        assert waiting is (sentence == "no program connected")
     old = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     old.bind(str(tmp_path / "goals"))
     with pytest.raises(InputError, match="no program connected"):

@@ -321,3 +321,22 @@ def test_the_loops_process_never_imports_the_writer():
         "sys.exit(bool(ours & {'mcap', 'lz4', 'foxglove'}))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+@pytest.mark.parametrize("place", ["run.mcap", "no_directory/run.mcap", None])
+def test_a_loop_that_ends_while_its_recorder_starts_gets_no_traceback(tmp_path, place):
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.close()
+    task = {
+        "fd": theirs.fileno(), "path": str(tmp_path / (place or "")), "dof": 1, "start_ns": 0,
+        "metadata": {"dof": "1"},
+    }  # fmt: skip
+    recorder = subprocess.run(
+        [sys.executable, "-m", "firmware_py.log.recorder"],
+        input=json.dumps(task).encode() if place else b"", pass_fds=(theirs.fileno(),),
+        capture_output=True, timeout=120,
+    )  # fmt: skip
+    theirs.close()
+    assert recorder.stderr == b""
+    if place == "run.mcap":
+        assert (tmp_path / place).read_bytes().endswith(MAGIC), "complete, without a tick"

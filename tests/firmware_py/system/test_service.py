@@ -293,3 +293,11 @@ def test_the_rights_of_the_service_are_enough_for_real_time(config):
     none = [word.partition("=")[0] + "=-all" if "-all" in word else word for word in command]
     refused = subprocess.run([*none, *python], capture_output=True, text=True, env=environment)
     assert "SCHED_FIFO is refused" in refused.stderr
+
+
+def test_a_configuration_that_is_a_loop_of_links_gets_one_sentence(tmp_path, capsys):
+    (tmp_path / "loop").symlink_to("loop")
+    words = ["install-service", "--config", str(tmp_path / "loop"), "--user", "robot", "--dry-run"]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "loop: " in error and error.count("\n") == 1

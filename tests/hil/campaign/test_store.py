@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import locked_directory
 from hil.campaign.cases import CaseMaker
 from hil.campaign.store import ResultStore
 from hil.campaign.worker import CaseOutcome, run_case
@@ -99,8 +100,8 @@ def test_failures_are_never_removed(stored):
 def test_a_directory_has_one_campaign_at_a_time(stored):
     store, _ = stored
     with (
-        store.locked(),
-        pytest.raises(InputError, match="in use by another campaign"),
-        store.locked(),
+        locked_directory(store.directory),
+        pytest.raises(InputError, match="in use by another run"),
+        locked_directory(store.directory),
     ):
         pass

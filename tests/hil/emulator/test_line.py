@@ -14,11 +14,13 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
+from firmware_py.core.errors import InputError
 from firmware_py.system.clock import SimClock
 from hil.emulator.line import (
     USB_PACKET_BYTES,
     Line,
     VirtualTransport,
+    socket_endpoint,
 )
 from hil.emulator.line_faults import FaultPlan, parse_rates
 
@@ -228,3 +230,12 @@ def test_fault_rates_are_met():
 def test_a_fault_that_cannot_be_is_refused(word):
     with pytest.raises(Exception, match="--faults"):
         parse_rates([word])
+
+
+@pytest.mark.parametrize("name", ["no_directory/x.sock", "x" * 200])
+def test_a_path_where_no_socket_can_be_is_named(tmp_path, name):
+    with (
+        pytest.raises(InputError, match=r"--path .*x.* cannot be opened .*at most 107 bytes"),
+        socket_endpoint(tmp_path / name, 0),
+    ):
+        pass

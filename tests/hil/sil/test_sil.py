@@ -16,6 +16,7 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.commands.replay import compare
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import MotionConfig
+from firmware_py.core.output_files import locked_directory
 from firmware_py.core.signals import tick_dtype
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import Estimate, NoEstimator
@@ -268,6 +269,14 @@ def test_the_prediction_error_is_split_by_range_and_part_of_the_programme():
     expected = {"in_range": 0.4, "out_of_range": 0.4, "approach": 0.7, "rest": 0.3, "motion": 0.25,
                 "glide": 0.4, "stop": 0.6}  # fmt: skip
     assert {k: v.mean_euclidean_distance_m for k, v in parts.items()} == pytest.approx(expected)
+
+
+def test_a_run_leaves_the_log_of_another_in_progress_alone(options, tmp_path):
+    log = tmp_path / LOG_NAME
+    log.write_bytes(b"of the run in progress")
+    with locked_directory(tmp_path), pytest.raises(InputError, match="in use by another run"):
+        run_sil(options())
+    assert log.read_bytes() == b"of the run in progress"
 
 
 @pytest.mark.parametrize(
