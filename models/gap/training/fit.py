@@ -6,8 +6,9 @@ Every number that is printed was predicted with the rig of its data set left out
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Final, NamedTuple, get_args
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Final, NamedTuple, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -51,6 +52,9 @@ LEAST_ERROR, MOST_ERROR = 0.003, 1.0
 """Range of the equation errors, as fractions of the strength."""
 
 
+Known = TypeVar("Known")
+
+
 class FittedCertainty(NamedTuple):
     certainty: Certainty
     report: str
@@ -70,14 +74,13 @@ def fitted_certainty(
     scale = {key: round(factors.get(key, max(factors.values())), 1) for key in KNOWLEDGE}
     study = [r for r in possible if r.knowledge in STUDY_TRIALS]
     noise = limit([r.evidence.residual for r in study if r.case.kind == "null"])
-    scaled = [(divided(r.evidence, scale[r.knowledge]), r) for r in study]
-    labelled = [
-        (evidence, answer, r.case.rig) for evidence, r in scaled
-        if (answer := true_answer(r, evidence.separation > least))
+    known = [
+        (r, answer) for r in study
+        if (answer := true_answer(r, r.evidence.separation > least * scale[r.knowledge]))
     ]  # fmt: skip
-    x = np.array([evidence.terms[1:] for evidence, _, _ in labelled])
-    y = np.array([answer for _, answer, _ in labelled])
-    rigs = [rig for _, _, rig in labelled]
+    x = np.array([divided(r.evidence, scale[r.knowledge]).terms[1:] for r, _ in known])
+    y = np.array([answer for _, answer in known])
+    rigs = [r.case.rig for r, _ in known]
     if lacking := set(ANSWERS) - set(y):
         raise InputError(
             "the data sets", f"have none with the answer {sorted(lacking)[0]!r}", "take more rigs"
@@ -88,7 +91,7 @@ def fitted_certainty(
     errors = equation_errors([s for r in possible for s in r.strengths])
     certainty = Certainty(
         made_with=dict(made_with),
-        data_sets=len(labelled),
+        data_sets=len(known),
         separation_of_nothing=round(least, 1),
         residual_of_nothing=round(noise, 3),
         separation_scale=dict(scale),
@@ -96,18 +99,29 @@ def fitted_certainty(
         answers=_coefficients(_regression(best).fit(x, y)),
         equation_error=_rounded(errors),
     )
-    scale |= {
-        key: _factor_without_names(certainty, scale[key], nulls.get(key, ()))
-        for key in KNOWLEDGE if key not in STUDY_TRIALS
-    }  # fmt: skip
+    for key in KNOWLEDGE:
+        if key in STUDY_TRIALS:
+            scale[key] = fewest_wrong(
+                partial(is_probable, certainty), scale[key],
+                [(r.evidence, answer == "catalogue") for r, answer in known if r.knowledge == key],
+            )  # fmt: skip
+        else:
+            scale[key] = _factor_without_names(certainty, scale[key], nulls.get(key, ()))
     certainty = msgspec.structs.replace(certainty, separation_scale=scale)
-    further = {key: further_factor(certainty, key, possible) for key in STUDY_TRIALS}
+    larger = list(_additions(certainty, possible))
+    further = {
+        key: fewest_wrong(
+            partial(is_added, certainty), scale[key],
+            [(a, right) for a, right in larger if a.knowledge == key],
+        )
+        for key in STUDY_TRIALS
+    }  # fmt: skip
     beside = {key: max(scale[key], further.get(key, max(further.values()))) for key in KNOWLEDGE}
     certainty = msgspec.structs.replace(certainty, further_scale=beside)
     in_catalogue = predicted[best][:, ANSWERS.index("catalogue")]
     counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
     report = [
-        f"{len(labelled)} data sets of {len(set(rigs))} rigs: {counts}",
+        f"{len(known)} data sets of {len(set(rigs))} rigs: {counts}",
         *(f"{key}: d′ up to {reached[key]:.1f} in {len(of_kind)} data sets without an effect, "
           f"factor {scale[key]:g}" for key, of_kind in nulls.items()),
         *(f"{key}: factor {beside[key]:g} on what an effect adds" for key in STUDY_TRIALS),
@@ -130,22 +144,28 @@ def _factor_without_names(
     return MOST_FACTOR
 
 
-def further_factor(
-    certainty: Certainty, knowledge: Knowledge, records: Iterable[DataSetRecord]
+def fewest_wrong(
+    is_named: Callable[[Known, float], bool], least: float, rows: Sequence[tuple[Known, bool]]
 ) -> float:
-    """Least factor on the d′ that an effect adds with which the fewest decisions are wrong.
+    """Least factor on d′, from `least` on, with which the fewest decisions are wrong.
 
-    Wrong is a further name that is not hidden, and a hidden one that is not named.
+    Wrong is a name that is not hidden, and a hidden one that is not named. `rows`: what the
+    decision knows, and whether the name is right.
     """
-    least = certainty.separation_scale[knowledge]
-    rows = [
-        (addition, effects_of(addition.candidates) <= set(r.case.hidden))
-        for r in records for addition in r.additions
-        if addition.knowledge == knowledge and is_probable(certainty, addition.evidence, least)
-    ]  # fmt: skip
     factors = np.arange(least, MOST_FACTOR, FACTOR_STEP)
-    wrong = [sum(is_added(certainty, a, f) != right for a, right in rows) for f in factors]
+    wrong = [sum(is_named(known, f) != right for known, right in rows) for f in factors]
     return round(float(factors[np.argmin(wrong)]), 1)
+
+
+def _additions(
+    certainty: Certainty, records: Iterable[DataSetRecord]
+) -> Iterator[tuple[Addition, bool]]:
+    """Larger sets that are probable as a whole, and whether all their effects are hidden."""
+    for record in records:
+        for addition in record.additions:
+            factor = certainty.separation_scale[addition.knowledge]
+            if is_probable(certainty, addition.evidence, factor):
+                yield addition, effects_of(addition.candidates) <= set(record.case.hidden)
 
 
 def is_added(certainty: Certainty, addition: Addition, factor: float) -> bool:

@@ -144,6 +144,21 @@ def test_a_larger_separation_counts_no_more_where_nothing_reaches_it_too(made_re
     assert fitted.answers_for(scaled).catalogue < 0.5
 
 
+def test_on_another_link_a_name_needs_more_where_more_is_reached_without_an_effect(made_records):
+    """Without an effect 24 is reached there, with consistent strengths; with one five times that."""
+
+    def elsewhere(record, separation):
+        evidence = Evidence(separation, 0.05, 1.0)
+        return msgspec.structs.replace(record, knowledge="other link", evidence=evidence)
+
+    reached = {"null": 24.0, "single": 120.0}
+    other = [elsewhere(r, reached[r.case.kind]) for r in made_records if r.case.kind in reached]
+    fitted, _ = fitted_certainty([*made_records, *other], {})
+    for kind, separation in reached.items():
+        scaled = Evidence(separation / fitted.separation_scale["other link"], 0.05, 1.0)
+        assert (fitted.answers_for(scaled).catalogue > 0.5) is (kind == "single")
+
+
 def record(kind="single", hidden=("creep",), best=("creep",), **changes):
     case = HiddenCase(kind, dict.fromkeys(hidden, 1.0), {}, 1, "drawn_600")
     return DataSetRecord(case=case, best=best, named=best, **changes)
