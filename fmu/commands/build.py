@@ -90,4 +90,5 @@ def _output(args: argparse.Namespace) -> Path:
         raise InputError(f"--out {output}", "does not end in .fmu", "use a name like twin_1dof.fmu")
     if output.is_dir() or (output.parent.exists() and not output.parent.is_dir()):
         raise InputError(f"--out {output}", "cannot be written as a file", "choose another path")
+    resolved(output)  # refuses a loop of links before the work begins
     return output

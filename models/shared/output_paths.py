@@ -15,6 +15,7 @@ def check_output_directory(
     path: Path, names: Iterable[str] = (), inputs: Iterable[Path] = ()
 ) -> None:
     """Refuse a directory that cannot be written, or in which an output would replace an input."""
+    resolved(path)  # refuses a loop of links, which `exists` takes for nothing
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}", "is a file", "name a directory")
     _check_place(path)
@@ -28,6 +29,7 @@ def check_output_directory(
 
 def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse a file that cannot be written, or that the command reads."""
+    resolved(path)
     if path.is_dir():
         raise InputError(f"--out {path}", "is a directory", "name a file")
     if _identities([path]) & _identities(inputs):
