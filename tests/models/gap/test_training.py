@@ -145,7 +145,7 @@ def test_a_larger_separation_counts_no_more_where_nothing_reaches_it_too(made_re
 
 
 def test_on_another_link_a_name_needs_more_where_more_is_reached_without_an_effect(made_records):
-    """Without an effect 24 is reached there, with consistent strengths; with one five times that."""
+    """Without an effect 24 is reached there, with consistent strengths; with one 120."""
 
     def elsewhere(record, separation):
         evidence = Evidence(separation, 0.05, 1.0)
