@@ -77,9 +77,9 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     data_sets: int
     # d′ that is reached where nothing is missing, and the mean squared residual that is left there:
     # 90 % of data sets have less
-    separation_of_nothing: float
+    separation_of_nothing: dict[Knowledge, float]
     residual_of_nothing: float
-    # Factor by which d′ is larger there on trials of which less is known of the plant's own error
+    # Factor on d′ on trials of which less is known of the plant's own error
     separation_scale: dict[Knowledge, float]
     # The same for the d′ that an effect adds beside another one, where the error of the first one's
     # equation comes to that of the plant
@@ -89,7 +89,7 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     equation_error: dict[str, float]
 
     def scale_for(self, estimator: GaussNewton, point: FitPoint, is_further: bool = False) -> float:
-        """Factor by which d′ is larger where nothing is missing, on these trials.
+        """Factor that d′ is divided by on these trials.
 
         `is_further`: whether it is the d′ of what is missing beside another effect.
         """
@@ -98,7 +98,7 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     def least_separation(self, estimator: GaussNewton, point: FitPoint) -> float:
         """d′ that is reached where nothing is missing, on these trials."""
-        return self.separation_of_nothing * self.scale_for(estimator, point)
+        return self.separation_of_nothing[knowledge_of(estimator, point)]
 
     def answers_for(self, evidence: Evidence) -> Answers:
         """Probabilities of the answers."""

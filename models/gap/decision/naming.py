@@ -102,7 +102,7 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         fit = grown[-1]
         error = equation_error * fit.separation
         # The least that can be enough: with a larger set the link may prove to be the same
-        added = math.hypot(certainty.separation_of_nothing, error)
+        added = math.hypot(certainty.separation_of_nothing["identified"], error)
         larger = search.beside(fit, added)
         if len(fit.candidates) == 1:  # two effects may look like a third
             larger = ranked(larger + search.pairs(fit.gain + added**2 / 2))

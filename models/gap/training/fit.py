@@ -92,14 +92,16 @@ def fitted_certainty(
     certainty = Certainty(
         made_with=dict(made_with),
         data_sets=len(known),
-        separation_of_nothing=round(least, 1),
+        separation_of_nothing={
+            key: round(max(least, reached.get(key, max(reached.values()))), 1) for key in KNOWLEDGE
+        },
         residual_of_nothing=round(noise, 3),
         separation_scale=dict(scale),
         further_scale=dict(scale),
         answers=_coefficients(_regression(best).fit(x, y)),
         equation_error=_rounded(errors),
     )
-    for key in KNOWLEDGE:
+    for key in scale.keys() - {"identified"}:  # which the others are compared with
         if key in STUDY_TRIALS:
             scale[key] = fewest_wrong(
                 partial(is_probable, certainty), scale[key],

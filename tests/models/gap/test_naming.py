@@ -123,8 +123,8 @@ def test_noise_names_nothing(axes):
     ("further", "equation_error", "is_named"),
     [
         (40.0, 0.1, True),
-        (read_certainty().separation_of_nothing - 4.0, 0.0, False),
-        (read_certainty().separation_of_nothing + 4.0, 0.0, True),
+        (read_certainty().separation_of_nothing["identified"] - 4.0, 0.0, False),
+        (read_certainty().separation_of_nothing["identified"] + 4.0, 0.0, True),
         (15.0, 0.2, False),
     ],
     ids=["clear", "as nothing reaches", "more than nothing reaches", "within the first's error"],
@@ -144,7 +144,7 @@ def test_a_further_effect_adds_more_than_nothing_does_and_than_an_equation_misse
 def test_on_another_link_a_further_effect_leaves_nothing_or_adds_more(
     axes, link_change, outside, is_named
 ):
-    naming = named(*trials_with(axes, (20.0, 60.0, 0.0, 0.0, 0.0), link_change, outside))
+    naming = named(*trials_with(axes, (24.0, 60.0, 0.0, 0.0, 0.0), link_change, outside))
     assert ("viscous_friction" in naming.names) is is_named
     assert naming.names[0] == "coulomb_friction"
 

@@ -121,7 +121,7 @@ def test_the_fitted_probabilities_answer_as_the_records_do(made_records):
         "outside": Evidence(30.0, 0.6, 3.0),
     }.items():
         assert getattr(fitted.answers_for(evidence), kind) > 0.8
-    assert 3.0 < fitted.separation_of_nothing < 12.0
+    assert 3.0 < fitted.separation_of_nothing["identified"] < 12.0
     assert fitted.residual_of_nothing == pytest.approx(1.0)
     assert "catalogue 24, nothing 16, outside 8" in report
     assert msgspec.json.decode(msgspec.json.encode(fitted), type=Certainty) == fitted
