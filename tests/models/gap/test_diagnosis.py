@@ -117,7 +117,7 @@ def test_unusable_arguments_are_refused(plant, hidden, make_trial):
     first, *others = hidden()
     with pytest.raises(InputError, match="is a copy of"):
         diagnose(plant, [first, replace(first, name="again"), *others])
-    with pytest.raises(InputError, match=r"link_width_m is 0\.3 m, in the plant"):
+    with pytest.raises(InputError, match=r"link_width_m is 0\.3, in the plant"):
         diagnose(plant, [with_conditions(first, link_width_m=0.3)])
 
 
