@@ -134,7 +134,7 @@ def test_rig_and_hidden_effects_are_recorded_beside_the_trial_alone(tmp_path, un
         (["--payloads", "50"], "choose 0 to 10"),
         (["--trials", "0"], "--trials 0"),
         (["--amplitude-deg", "120"], "choose 0 to 90"),
-        (["--period", "0"], "period: is 0 s"),
+        (["--period", "0"], "period_s: is 0"),
         (["--gravity", "0", "0", "0"], "direction"),
         (["--workers", "0"], "--workers 0"),
         (["--rig", "missing.toml"], ", ".join(named_structures())),
