@@ -132,9 +132,8 @@ def name_without_floor(search: EffectSearch) -> Naming:
         if better is None:
             break
         if not fit.candidates:
-            search, first = _in_si_units(search, larger, better)
-            held_out, rounds = HeldOut(search.estimator), [tuple(ranked(first))]
-            better = next(f for f in first if f.candidates == better.candidates)
+            search, better = _in_si_units(search, better)
+            held_out, rounds = HeldOut(search.estimator), [(better,)]
         fit = better
     best = fit if fit.candidates else next(iter(rounds[0]), fit)
     return Naming(fit, best, tuple(rounds), search, evidence_of(search, best), None)
@@ -219,18 +218,17 @@ def _least_held_out(
     return min(passed, key=lambda row: row[0])[1] if passed else None
 
 
-def _in_si_units(
-    search: EffectSearch, sets: Sequence[SetFit], best: SetFit
-) -> tuple[EffectSearch, list[SetFit]]:
-    """Search and fits of some sets against a floor that is equal at all frequencies.
+def _in_si_units(search: EffectSearch, fit: SetFit) -> tuple[EffectSearch, SetFit]:
+    """Search and fit against a floor that is equal at all frequencies.
 
-    The spectrum of the residual would discount slow errors, which are the largest. `best`: set
-    whose residual has the power of that floor.
+    The spectrum of the residual would discount slow errors, which are the largest. The candidates
+    keep the d′ of their screen.
     """
     whitened = search.estimator
-    floor = flattened(whitened.floor, whitened.residuals.groups, best.point.rows)
+    floor = flattened(whitened.floor, whitened.residuals.groups, fit.point.rows)
     estimator = GaussNewton(whitened.residuals, floor)
     nothing = estimator.at(search.nothing.point.values)
     refits_all = len(search.of) == search.refitted
     flat = EffectSearch(NuisanceFit(estimator, estimator, nothing), refits_all, search.report)
-    return flat, [flat.settled(fit) for fit in sets]
+    flat.screened = search.screened
+    return flat, flat.settled(fit)
