@@ -103,7 +103,7 @@ class HiddenEffect(msgspec.Struct, frozen=True):
     text: str  # Result as text
 
 
-class TipError(msgspec.Struct, frozen=True):
+class VariantErrors(msgspec.Struct, frozen=True):
     """Error of the tip by variant; None where a run lacks it."""
 
     heading: str
@@ -117,7 +117,9 @@ class GapFigures(msgspec.Struct, frozen=True):
     verdict: str  # Verdict of the diagnosis
     hidden: dict[str, HiddenEffect]
     also_named: list[str]  # Effects that were named without being hidden
-    errors: dict[str, TipError]  # "fmu", "robot", "robot_heaviest", and "path" if a plan was run
+    errors: dict[
+        str, VariantErrors
+    ]  # "fmu", "robot", "robot_heaviest", and "path" if a plan was run
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -192,8 +194,8 @@ def gap_figures(inputs: GapInputs, hidden: Mapping[str, float]) -> GapFigures:
     )
 
 
-def _tip_error(heading: str, error_m: ByVariant) -> TipError:
-    return TipError(heading, error_m, fraction_removed(error_m))
+def _tip_error(heading: str, error_m: ByVariant) -> VariantErrors:
+    return VariantErrors(heading, error_m, fraction_removed(error_m))
 
 
 def fraction_removed(error: Mapping[str, float | None]) -> float | None:

@@ -94,7 +94,7 @@ class Diagnosis:
 
     >>> print(diagnosis.summary())
     verdict: no floor
-    Missing: coulomb friction 0.0491 ± 0.0056 N·m (dry friction torque at the output). ...
+    Missing: coulomb friction 0.0491 ± 0.0086 N·m (dry friction torque at the output). ...
     >>> diagnosis.plot().savefig("gap.svg")
     >>> diagnosis.improved.write("better.json")
     """

@@ -258,7 +258,7 @@ class GapDocument(Document, frozen=True, kw_only=True):
 
     >>> import dropstitch
     >>> dropstitch.gap_document(diagnosis).headline
-    'Missing: coulomb friction 0.0491 ± 0.0056 N·m (dry friction torque at the output). ...'
+    'Missing: coulomb friction 0.0491 ± 0.0086 N·m (dry friction torque at the output). ...'
     """
 
     VERSION: ClassVar[int] = 4

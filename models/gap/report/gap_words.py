@@ -134,8 +134,8 @@ def _verdict_in_words(document: GapDocument) -> str:
             better = f"the held-out error falls to {fraction:.0%}, but " if named else ""
             nothing = "" if named else "Nothing is named. "
             return (
-                f"{nothing}The plant has no noise floor, which 'identify' measures on repeated "
-                f"trials: {better}noise and model error cannot be separated."
+                f"{nothing}The plant has no noise floor, which dropstitch identify measures on "
+                f"repeated trials: {better}noise and model error cannot be separated."
             )
         case "not in the catalogue":
             sure = f" (probability {in_percent(known.outside)})" if known else ""
