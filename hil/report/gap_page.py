@@ -117,9 +117,8 @@ class GapFigures(msgspec.Struct, frozen=True):
     verdict: str  # Verdict of the diagnosis
     hidden: dict[str, HiddenEffect]
     also_named: list[str]  # Effects that were named without being hidden
-    errors: dict[
-        str, VariantErrors
-    ]  # "fmu", "robot", "robot_heaviest", and "path" if a plan was run
+    # By "fmu", "robot", "robot_heaviest", and "path" if a plan was run
+    errors: dict[str, VariantErrors]
 
 
 # --- files --------------------------------------------------------------------------------------

@@ -1,12 +1,12 @@
 """Naming: the set of effects that explains the trials, from the rounds of the search.
 
 With a learned noise floor the set begins with the candidate of the largest d′ after its refit. A
-larger set takes its place if the d′ that it adds exceeds what is reached where nothing is missing
-and a fraction of the d′ so far, the error of an equation, and if every strength is the same in all
-parts of the trials. Beside sets that add one candidate pairs are tried, since two effects may look
-like a third. The largest of these sets that is more probably what is missing than not is named
-(`models.gap.decision.certainty`). A set of several must also leave nothing of the gap, or what it
-adds to the one before must itself be more probable than not.
+larger set takes its place if the d′ that it adds exceeds the root of the sum of two squares, what
+is reached where nothing is missing and a fraction of the d′ so far, the error of an equation, and
+if every strength is the same in all parts of the trials. Beside sets that add one candidate pairs
+are tried, since two effects may look like a third. The largest of these sets that is more probably
+what is missing than not is named (`models.gap.decision.certainty`). A set of several must also
+leave nothing of the gap, or what it adds to the one before must itself be more probable than not.
 
 Without one the spectrum of the residual takes its place, which holds the gap itself. Then every
 effect that stands out from it competes by the error on what was left out

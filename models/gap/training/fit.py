@@ -101,7 +101,9 @@ def fitted_certainty(
         answers=_coefficients(_regression(best).fit(x, y)),
         equation_error=_rounded(errors),
     )
-    for key in scale.keys() - {"identified"}:  # which the others are compared with
+    for key in KNOWLEDGE:
+        if key == "identified":  # the others are compared with it
+            continue
         if key in STUDY_TRIALS:
             scale[key] = fewest_wrong(
                 partial(is_probable, certainty), scale[key],

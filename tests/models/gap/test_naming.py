@@ -144,7 +144,8 @@ def test_a_further_effect_adds_more_than_nothing_does_and_than_an_equation_misse
 def test_on_another_link_a_further_effect_leaves_nothing_or_adds_more(
     axes, link_change, outside, is_named
 ):
-    naming = named(*trials_with(axes, (24.0, 90.0, 0.0, 0.0, 0.0), link_change, outside))
+    further = read_certainty().separation_of_nothing["other link"] + 4.0
+    naming = named(*trials_with(axes, (further, 90.0, 0.0, 0.0, 0.0), link_change, outside))
     assert ("viscous_friction" in naming.names) is is_named
     assert naming.names[0] == "coulomb_friction"
 
