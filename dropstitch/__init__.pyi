@@ -37,9 +37,9 @@ from models.plant.identification.evaluation import compare_with_trials as compar
 from models.plant.identification.evaluation import evaluate_plant as evaluate_plant
 from models.plant.identification.evaluation import tip_rms_m as tip_rms_m
 from models.gap.settings import GapSettings as GapSettings
-from models.gap.diagnosis import Diagnosis as Diagnosis
 from models.gap.diagnosis import diagnose as diagnose
 from models.gap.report.gap_json import GapDocument as GapDocument
+from models.gap.report.gap_results import Diagnosis as Diagnosis
 from models.gap.report.gap_results import gap_document as gap_document
 from models.gap.report.gap_words import gap_in_words as gap_in_words
 

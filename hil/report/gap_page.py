@@ -37,6 +37,7 @@ from hil.report.build_inputs import FmuCheckOutput, read_commands, read_output
 from hil.sil.timing_document import TimingDocument, read_timing
 from models.gap.report.gap_json import GapDocument, read_gap_document
 from models.gap.report.gap_page import gap_lead, gap_sections
+from models.gap.report.gap_words import effect_in_words
 from models.plant.identification.evaluation import TIP
 from models.plant.plant import Plant, read_plant
 from models.shared.catalogue import effect_and_joint
@@ -232,7 +233,7 @@ def _robot_mean_m(loops: Runs[TimingDocument], payloads: Sequence[float]) -> ByV
 
 def _hidden_effect(inputs: GapInputs, hidden: str, strength: float) -> HiddenEffect:
     effect, joint = effect_and_joint(hidden)
-    words = effect.replace("_", " ") + (f" of joint {joint}" if joint else "")
+    words = effect_in_words(hidden)
     named = {row.effect: row for row in inputs.diagnosis.named}
     if row := named.get(effect):
         strengths = inputs.after.strengths(effect, inputs.trials[0].meta.dof)

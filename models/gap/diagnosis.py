@@ -6,26 +6,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
 
 from threadpoolctl import threadpool_limits
 
 from firmware_py.core.errors import InputError
-from models.gap.decision.certainty import Answers, Evidence, read_certainty
-from models.gap.decision.look_alikes import Hypothesis, hypotheses_of, look_alikes_of
-from models.gap.decision.naming import (
-    LEAST_WITHOUT_FLOOR,
-    Naming,
-    name_with_floor,
-    name_without_floor,
-)
+from models.gap.decision.certainty import read_certainty
+from models.gap.decision.look_alikes import hypotheses_of, look_alikes_of
+from models.gap.decision.naming import Naming, name_with_floor, name_without_floor
 from models.gap.decision.written_fit import PlantWriter, WrittenFit
 from models.gap.estimation.fitted_floor import noise_floor_for
-from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.nuisance_fit import NuisanceFit, nuisance_fit_of
 from models.gap.improved_plant import improved_plant
 from models.gap.outliers import OutlierTrial, outlier_trials, without_outliers
+from models.gap.report.gap_json import GapVerdict
+from models.gap.report.gap_results import Diagnosis
 from models.gap.residuals.fit_parameters import (
     all_fit_parameters,
     candidate_effects,
@@ -34,133 +28,13 @@ from models.gap.residuals.fit_parameters import (
 from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import in_time_blocks
-from models.gap.search.effect_search import EffectSearch, ReportProgress, SetFit
-from models.gap.search.held_out import HeldOutErrors
+from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.identification.noise_floor import aligned
 from models.plant.plant import Plant
 from models.trials.checks.trials import refuse_unusable
 from models.trials.trial import Trial, TrialSet
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
-"""Nothing is missing; the named effects explain the gap; more than noise is left beside them;
-something outside of the catalogue is missing; the noise is unknown, so nobody can tell."""
-
-
-@dataclass(frozen=True, repr=False)
-class Diagnosis:
-    """Result of `diagnose`.
-
-    Attributes
-    ----------
-    plant, improved, fitted : Plant
-        The plant that was diagnosed; the plant that is written, with the refitted nuisance and
-        those of the named effects that passed the check on what was left out; and with all of them.
-    trials : TrialSet
-        Trials that were diagnosed, without the outliers; of a single trial its blocks of time
-        (`models.gap.residuals.time_blocks`).
-    outliers : tuple of OutlierTrial
-        Outlier trials, which were left out because they differ far more than comparable ones.
-    verdict : str
-        See `GapVerdict`.
-    answers : Answers or None
-        Probabilities of what is missing; None without a learned noise floor.
-    evidence : Evidence
-        Numbers that they follow from.
-    gap_left_fraction : float or None
-        Fraction of the gap's amplitude, in noise floors, that remains with the named effects; None
-        without a learned noise floor.
-    named : tuple of str
-        Missing effects, the one that explains most first; `EFFECT:JOINT` is in one servo alone.
-    look_alikes : dict of str to tuple of SetFit
-        By named effect: what these trials cannot tell from it.
-    hypotheses : tuple of Hypothesis
-        Sets of effects that may be missing, by their probability.
-    nuisance, naming, written
-        Fits: of the nuisance, of the named effects with all sets that were tried, and of what was
-        written.
-    located : tuple of GapRegion
-        Where the gap is after the nuisance fit.
-    settings : GapSettings
-        Settings of this run.
-
-    Examples
-    --------
-    Words, figure and improved plant of the `diagnosis` in the example of `diagnose`:
-
-    >>> print(diagnosis.summary())
-    verdict: no floor
-    Missing: coulomb friction 0.0491 ± 0.0086 N·m (dry friction torque at the output). ...
-    >>> diagnosis.plot().savefig("gap.svg")
-    >>> diagnosis.improved.write("better.json")
-    """
-
-    plant: Plant
-    improved: Plant
-    fitted: Plant
-    trials: TrialSet
-    outliers: tuple[OutlierTrial, ...]
-    verdict: GapVerdict
-    answers: Answers | None
-    evidence: Evidence
-    gap_left_fraction: float | None
-    named: tuple[str, ...]
-    look_alikes: dict[str, tuple[SetFit, ...]]
-    hypotheses: tuple[Hypothesis, ...]
-    nuisance: NuisanceFit
-    naming: Naming
-    written: WrittenFit
-    left_out: tuple[str, ...]
-    held_out_baseline: HeldOutErrors
-    located: tuple[GapRegion, ...]
-    settings: GapSettings
-
-    def __repr__(self) -> str:
-        named = ", ".join(self.named) or "nothing"
-        trials = f"{len(self.trials)} trial{'' if len(self.trials) == 1 else 's'}"
-        return f"<Diagnosis of {trials}: {self.verdict}; missing: {named}>"
-
-    def _repr_html_(self) -> str:
-        from models.shared.notebook import html_table
-
-        rows = [
-            (" + ".join(h.effects) or "nothing", f"{h.probability:.2f}") for h in self.hypotheses
-        ]
-        return html_table(repr(self)[1:-1], ("what may be missing", "probability"), rows)
-
-    @property
-    def floor(self) -> NoiseFloor:
-        """Noise floor as measured."""
-        return self.nuisance.measured.floor
-
-    @property
-    def separation_of_nothing(self) -> float:
-        """d′ that is reached where nothing is missing on such trials."""
-        if not self.naming.is_learned:
-            return LEAST_WITHOUT_FLOOR
-        return read_certainty().least_separation(self.nuisance.measured, self.naming.best.point)
-
-    @property
-    def unexplained_fraction(self) -> float:
-        """Held-out error of the written plant over that as given, geometric mean over signals."""
-        return self.written.errors.fraction_of(self.held_out_baseline)
-
-    def summary(self) -> str:
-        """Diagnosis in words, as the command prints it."""
-        from models.gap.report.gap_results import gap_document
-        from models.gap.report.gap_words import gap_in_words
-
-        return gap_in_words(gap_document(self))
-
-    def plot(self) -> Figure:
-        """Measured and simulated signals over time, before and after, where the gap is largest."""
-        from models.gap.report.gap_charts import plot_signals
-
-        return plot_signals(self)
 
 
 def diagnose(

@@ -184,17 +184,16 @@ def _diagnose_again(
     out: Path, plant: Plant, before: GapDocument, inputs: DiagnosisInputs, progress: Progress
 ) -> tuple[dict[str, Any], str]:
     """Diagnose all trials, that of the motion included; the hypotheses before and after."""
+    from models.gap.diagnosis import diagnose
     from models.gap.experiment.rival import credible_set, rivals_of
-    from models.gap.report.diagnosis_files import write_diagnosis
+    from models.gap.report.gap_page import write_results
 
     directories = (*inputs.trials, str(resolved(out.with_suffix("") / "trials")))
     inputs = msgspec.structs.replace(inputs, trials=directories, trials_sha256="")
     trials = _trials(inputs, plant)
     inputs = msgspec.structs.replace(inputs, trials_sha256=trials.content_sha256())
-    *_, after, page = write_diagnosis(
-        plant, trials, inputs, out.with_suffix("") / "gap", progress.step,
-        settings=before.settings,
-    )  # fmt: skip
+    diagnosis = diagnose(plant, trials, progress.step, settings=before.settings)
+    after, page = write_results(diagnosis, inputs, out.with_suffix("") / "gap")
     first, second = (
         {r.label: round(r.probability, 4) for r in credible_set(rivals_of(d.hypotheses))}
         for d in (before, after)

@@ -22,7 +22,7 @@ from models.trials.files import read_trial_directories
 EXAMPLE = "dropstitch gap build/gap_trials --plant build/plant.json --out build/gap"
 
 DIAGNOSIS_FILES: Final = ("gap.json", "plant.json", "report.html")
-"""Files that `models.gap.report.diagnosis_files` writes to a directory."""
+"""Files that `models.gap.report.gap_page.write_results` writes to a directory."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -53,8 +53,9 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     trials = read_trial_directories(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.gap.report.diagnosis_files import write_diagnosis
+    from models.gap.diagnosis import diagnose
     from models.gap.report.gap_json import DiagnosisInputs
+    from models.gap.report.gap_page import write_results
     from models.gap.report.gap_words import gap_in_words
     from models.gap.settings import GapSettings
     from models.plant.identification.doubts import evaluation_doubts
@@ -72,9 +73,8 @@ def run(args: argparse.Namespace) -> int:
         trials.content_sha256(), args.dof,
     )  # fmt: skip
     settings = GapSettings(same_link=args.same_link)
-    diagnosis, document, page = write_diagnosis(
-        plant, trials, inputs, args.out, progress.step, args.without, settings
-    )
+    diagnosis = diagnose(plant, trials, progress.step, args.without, settings)
+    document, page = write_results(diagnosis, inputs, args.out)
     progress.step("done", 0)
     emit(
         args,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
+from firmware_py.config import UNWATCHED_RATE_RAD_S
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, Motion, MotionDocument
 from firmware_py.core.output_files import write_whole
@@ -19,9 +20,8 @@ from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
-from models.gap.experiment.rival import Rival
-from models.gap.experiment.separation import SeparationModel
-from models.gap.fixed_motions import REST_SAMPLES, SWAPPED_PAYLOAD_KG
+from models.gap.experiment.rival import HypothesisRecord
+from models.gap.experiment.separation import REST_SAMPLES, SeparationModel
 from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.noise_floor import Array
@@ -32,6 +32,9 @@ SEPARATED: Final = 3.0
 """d′ above which two hypotheses count as separated (docs/sources.md, "Naming a missing effect")."""
 VARIATIONS: Final = ((1.0, 1.0), (0.5, 1.0), (1.0, 2.0), (0.5, 0.5))
 """Amplitudes and periods of the motions, as multiples of those of the trials [assumed]."""
+SWAPPED_PAYLOAD_KG: Final = 2.0
+"""Payload that is tried beside those of the trials; none if they carried more than half of it
+[assumed]."""
 LONGEST_S: Final = 60.0
 """Longest motion that is offered [assumed]."""
 TWIN_MARGIN: Final = 0.85
@@ -54,12 +57,17 @@ class RankedMotion:
     def label(self) -> str:
         return ", ".join([self.motion.kind, *_size(self.motion)])
 
+    @property
+    def separated(self) -> int:
+        """Number of pairs that it separates."""
+        return sum(d >= SEPARATED for d in self.separations)
+
 
 @dataclass(frozen=True)
 class Experiment:
     """Motions by how well they separate the hypotheses, the best first."""
 
-    rivals: tuple[Rival, ...]
+    rivals: tuple[HypothesisRecord, ...]
     pairs: tuple[str, ...]  # Pairs of rivals in words
     before: tuple[float, ...]  # d′ of each pair on the trials at hand
     ranked: tuple[RankedMotion, ...]
@@ -77,14 +85,19 @@ class Experiment:
 
 
 def rank_motions(
-    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits,
+    rivals: Sequence[HypothesisRecord], plant: Plant, trials: TrialSet, limits: Limits,
     payloads_kg: Sequence[float] = (), report: ReportProgress = lambda text, further: None,
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> Experiment:  # fmt: skip
     """Rank motions and payloads by the pairs that they separate, then by the least gain."""
     _check(rivals, plant, trials, payloads_kg)
     planned = planned_motions(trials, payloads_kg or default_payloads_kg(trials), limits)
-    model = SeparationModel(plant, trials.trials, rivals, settings)
+    # The rival that is refitted is the second one, with no more effects than the first
+    pairs = [
+        (a, b) if len(rivals[a].effects) >= len(rivals[b].effects) else (b, a)
+        for a, b in combinations(range(len(rivals)), 2)
+    ]
+    model = SeparationModel(plant, trials.trials, rivals, pairs, settings)
     report("trials at hand judged", len(planned))
     allowed = []
     for k, (motion, payload_kg) in enumerate(planned, 1):
@@ -97,27 +110,24 @@ def rank_motions(
             "--config", "its limits allow none of the motions in simulation",
             "widen those of tip, current or following error, or choose other --payloads",
         )  # fmt: skip
-    separations = np.array([row for _, _, row in allowed])
-    separated = separations >= SEPARATED
+    separated = np.array([row for *_, row in allowed]) >= SEPARATED
     counted = separated.any(axis=0) | ~separated.any()
-    gained = np.sqrt(separations**2 - np.square(model.before))
-    least_gain = gained[:, counted].min(axis=1)
-    best_first = np.lexsort((-least_gain, -separated.sum(axis=1)))
     ranked = [
-        RankedMotion(motion, payload_kg, row, float(gain))
-        for (motion, payload_kg, row), gain in zip(allowed, least_gain, strict=True)
+        RankedMotion(*of_motion, float(model.added(of_motion[-1])[counted].min()))
+        for of_motion in allowed
     ]
+    ranked.sort(key=lambda r: (-r.separated, -r.least_gain))
     return Experiment(
         tuple(rivals),
-        tuple(f"{rivals[a].label} or {rivals[b].label}" for a, b in model.pairs),
+        tuple(f"{rivals[a].label} or {rivals[b].label}" for a, b in pairs),
         model.before,
-        tuple(ranked[k] for k in best_first),
+        tuple(ranked),
         limits,
     )
 
 
 def _check(
-    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, payloads_kg: Sequence[float]
+    rivals: Sequence[HypothesisRecord], plant: Plant, trials: TrialSet, payloads_kg: Sequence[float]
 ) -> None:
     """Refuse inputs that no motion can be ranked for."""
     if plant.load != "link":
@@ -142,12 +152,29 @@ def _check(
 def default_payloads_kg(trials: TrialSet) -> tuple[float, ...]:
     """Lightest, middle and heaviest payload of the trials, and one that swaps the payload."""
     known = sorted({t.meta.payload_kg for t in trials})
-    swapped = SWAPPED_PAYLOAD_KG if known[-1] <= SWAPPED_PAYLOAD_KG / 2 else 0.0
-    return tuple(sorted({known[0], known[len(known) // 2], known[-1], swapped}))
+    return tuple(sorted({known[0], known[len(known) // 2], known[-1], _swapped_kg(known[-1])}))
+
+
+def _swapped_kg(heaviest_kg: float) -> float:
+    return SWAPPED_PAYLOAD_KG if heaviest_kg <= SWAPPED_PAYLOAD_KG / 2 else 0.0
+
+
+def usual_motions(trials: TrialSet) -> list[tuple[Motion, float]]:
+    """Motions for a robot whose limits are not known, with the heaviest payload and swapped.
+
+    Amplitude and period are those of the trials; every servo may run them.
+    """
+    heaviest_kg = max(t.meta.payload_kg for t in trials)
+    payloads_kg = (heaviest_kg, _swapped_kg(heaviest_kg))
+    limits = Limits(rate_rad_s=UNWATCHED_RATE_RAD_S)
+    return planned_motions(trials, payloads_kg, limits, VARIATIONS[:1])
 
 
 def planned_motions(
-    trials: TrialSet, payloads_kg: Sequence[float], limits: Limits
+    trials: TrialSet,
+    payloads_kg: Sequence[float],
+    limits: Limits,
+    variations: Sequence[tuple[float, float]] = VARIATIONS,
 ) -> list[tuple[Motion, float]]:
     """Motions that the limits of the goals allow, with each payload.
 
@@ -156,7 +183,7 @@ def planned_motions(
     """
     meta, result, refused = trials[0].meta, [], "all were run already"
     at_hand = {(t.meta.motion, *_size(t.meta), t.meta.payload_kg) for t in trials}
-    for kind, (larger, slower) in product(KINDS, VARIATIONS):
+    for kind, (larger, slower) in product(KINDS, variations):
         try:
             motion = Motion(
                 kind, larger * meta.amplitude_rad, slower * meta.period_s, meta.phase_2_rad,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Annotated, Final
 
+import msgspec
 import numpy as np
 
 from firmware_py.core.errors import InputError
@@ -14,9 +14,6 @@ from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_e
 from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
 
-if TYPE_CHECKING:
-    from models.gap.report.gap_json import HypothesisRecord
-
 MOST_RIVALS: Final = 6
 """Most hypotheses that motions are ranked for, the most probable first; 15 pairs [assumed]."""
 RIVAL_PROBABILITY: Final = 0.02
@@ -24,45 +21,48 @@ RIVAL_PROBABILITY: Final = 0.02
 first, the others together would be less than what a set that holds 0.95 leaves out [assumed]."""
 
 
-@dataclass(frozen=True)
-class Rival:
-    """Hypothesis of a diagnosis."""
+class HypothesisRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Set of effects that may be missing, and its probability; an empty set means nothing.
 
-    effects: tuple[str, ...]  # Candidates that would be missing; empty if nothing is
-    probability: float  # Including that of its supersets
-    parameters: Mapping[str, float]  # Fitted values by name of the plant's parameter
+    `parameters` holds the fitted values by the name of the plant's parameter, nuisance included.
+    """
+
+    effects: tuple[str, ...]
+    probability: Annotated[float, msgspec.Meta(ge=0, le=1)]
+    parameters: dict[str, float]
 
     @property
     def label(self) -> str:
         return " + ".join(self.effects) or "nothing missing"
 
 
-def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
+def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[HypothesisRecord, ...]:
     """Hypotheses worth separating, the most probable first.
 
     A set that contains another listed one adds an effect too small to show: no motion separates the
     two, so its probability is shared equally among the sets that it contains.
     """
-    rivals = [Rival(h.effects, h.probability, h.parameters) for h in hypotheses]
-    sets = [frozenset(r.effects) for r in rivals]
+    sets = [frozenset(h.effects) for h in hypotheses]
     least = [
         k for k, effects in enumerate(sets) if not any(other and other < effects for other in sets)
     ]
-    shared = {k: 0.0 for k in least}
-    for effects, rival in zip(sets, rivals, strict=True):
+    shared = dict.fromkeys(least, 0.0)
+    for effects, hypothesis in zip(sets, hypotheses, strict=True):
         within = [k for k in least if sets[k] == effects or (sets[k] and sets[k] < effects)]
         for k in within:
-            shared[k] += rival.probability / len(within)
+            shared[k] += hypothesis.probability / len(within)
     total = sum(shared.values())
-    if rivals and not total:
+    if hypotheses and not total:
         raise InputError("gap.json", "gives no hypothesis a probability", "diagnose again")
-    merged = [replace(rivals[k], probability=p / total) for k, p in shared.items()]
+    merged = [
+        msgspec.structs.replace(hypotheses[k], probability=p / total) for k, p in shared.items()
+    ]
     ranked = sorted(merged, key=lambda r: (-r.probability, r.effects))
     counted = [r for k, r in enumerate(ranked) if k < 2 or r.probability >= RIVAL_PROBABILITY]
     return tuple(counted[:MOST_RIVALS])
 
 
-def credible_set(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
+def credible_set(rivals: Sequence[HypothesisRecord]) -> tuple[HypothesisRecord, ...]:
     """Fewest hypotheses that hold 95 % together, the most probable first."""
     before = np.cumsum([0.0, *(r.probability for r in rivals)])
     return tuple(
@@ -70,17 +70,19 @@ def credible_set(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
     )
 
 
-def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitParameter]) -> Array:
+def fitted_values_of(
+    hypothesis: HypothesisRecord, plant: Plant, fit_parameters: Sequence[FitParameter]
+) -> Array:
     """Values of the fit parameters at a hypothesis, shape (p,); variations of trials are zero.
 
     An effect goes first: a nuisance may move the same parameter, as the synchronisation does. The
     effect of all servos and that of one may move the same parameters too.
     """
     full = plant_with_every_effect(plant).parameters
-    names = [n for n in rival.parameters if n in full]
-    change = np.array([rival.parameters[n] - full[n].value for n in names])
+    names = [n for n in hypothesis.parameters if n in full]
+    change = np.array([hypothesis.parameters[n] - full[n].value for n in names])
     values = np.zeros(len(fit_parameters))
-    for kind, candidates in (("effect", rival.effects), ("nuisance", ("",))):
+    for kind, candidates in (("effect", hypothesis.effects), ("nuisance", ("",))):
         columns = [
             k for k, q in enumerate(fit_parameters) if q.kind == kind and q.effect in candidates
         ]

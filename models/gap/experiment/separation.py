@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S
 from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import (
     RIDGE,
@@ -29,13 +30,11 @@ from models.gap.estimation.gauss_newton import (
 )
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.nuisance_fit import nuisance_fit_of
-from models.gap.experiment.rival import Rival, fitted_values_of
-from models.gap.fixed_motions import REST_SAMPLES, planned_trial
+from models.gap.experiment.rival import HypothesisRecord, fitted_values_of
 from models.gap.residuals.fit_parameters import (
     FitParameter,
+    all_fit_parameters,
     candidate_effects,
-    effect_candidates,
-    nuisance_and_variation,
     prior_precision,
 )
 from models.gap.residuals.residuals import Residuals
@@ -45,6 +44,8 @@ from models.plant.identification.noise_floor import Array, group_frequencies_hz,
 from models.plant.plant import Plant
 from models.trials.trial import Trial
 
+REST_SAMPLES: Final = 60
+"""Samples at rest before a planned motion [assumed]."""
 REFIT_STEPS: Final = 4
 """Steps of a refit with the derivatives at its start, after which it no longer changes
 [assumed]."""
@@ -85,63 +86,69 @@ class PlannedRun(Residuals):
 class SeparationModel:
     """Rivals, and how well the trials at hand separate them.
 
-    `pairs` are indices of rivals; the second of a pair, which has no more effects than the first,
-    is refitted. `before` is the d′ of each pair on the trials at hand.
+    `pairs` are indices of rivals; the second of a pair is refitted. `before` is the d′ of each pair
+    on the trials at hand.
     """
 
     def __init__(
         self,
         plant: Plant,
         trials: Sequence[Trial],
-        rivals: Sequence[Rival],
+        rivals: Sequence[HypothesisRecord],
+        pairs: Sequence[tuple[int, int]],
         settings: GapSettings,
     ) -> None:
-        self.plant, self.rivals, self.like = plant, tuple(rivals), trials[0]
-        self.pairs = [
-            (a, b) if len(rivals[a].effects) >= len(rivals[b].effects) else (b, a)
-            for a, b in combinations(range(len(rivals)), 2)
-        ]
-        effects = _effect_parameters(plant, rivals, trials[0].meta.dof)
-        same_link = settings.same_link
-        fit_parameters = nuisance_and_variation(plant, trials, same_link=same_link) + effects
-        residuals = Residuals(plant, trials, fit_parameters)
+        self.plant, self.rivals, self.pairs, self.like = plant, rivals, pairs, trials[0]
+        # Those of a diagnosis, whose compiled model is at hand
+        every = all_fit_parameters(
+            plant, trials, candidate_effects(plant), same_link=settings.same_link
+        )
+        _refuse_other_effects(rivals, every)
+        residuals = Residuals(plant, trials, every)
         fit = nuisance_fit_of(residuals, noise_floor_for(residuals))
         self.estimator, self.floor = fit.estimator, fit.measured.floor
         self._own_error = _own_error_fraction(self.floor, trials)
+        varies = np.array([q.trial is not None for q in every])
+        starts = [self.estimator.at(fitted_values_of(r, plant, every)) for r in rivals]
+        self._named = np.array(
+            [not q.effect or any(q.effect in r.effects for r in rivals) for q in every]
+        )
+        points = [
+            self.estimator.linearise(self.estimator.fit(s, varies), self._named) for s in starts
+        ]
         # A planned trial shares nuisance and effects with the others, and has its own variation.
-        nuisance = nuisance_and_variation(plant, trials[:1], same_link=same_link)
-        self.planned = nuisance + effects
-        self._shared = np.array([q.trial is None for q in self.planned])
+        of_one = [k for k, q in enumerate(every) if q.trial in (None, 0)]
+        self.planned = [every[k] for k in of_one]
+        self.values = [start.values[of_one] for start in starts]
+        self._named, self._shared = self._named[of_one], ~varies[of_one]
         self._prior = np.where(self._shared, 0.0, prior_precision(self.planned))
         self._free = [
             np.array([not q.effect or q.effect in r.effects for q in self.planned]) for r in rivals
         ]
-        self.values = [fitted_values_of(r, plant, self.planned) for r in rivals]
-        varies = np.array([q.trial is not None for q in fit_parameters])
-        starts = [self.estimator.at(fitted_values_of(r, plant, fit_parameters)) for r in rivals]
-        points = [self.estimator.linearise(self.estimator.fit(s, varies)) for s in starts]
-        self._known = [_misfit(self.estimator, varies, points[a], points[b]) for a, b in self.pairs]
+        self._known = [_misfit(self.estimator, varies, points[a], points[b]) for a, b in pairs]
         self.before = tuple(
             known.least(self._free[b][self._shared])
-            for known, (_, b) in zip(self._known, self.pairs, strict=True)
+            for known, (_, b) in zip(self._known, pairs, strict=True)
         )
 
     def planned_run(self, motion: Motion, payload_kg: float) -> PlannedRun:
-        trial = planned_trial(self.like, motion, payload_kg, REST_SAMPLES)
-        absent = np.zeros(len(trial))
-        columns = dict.fromkeys(self.estimator.residuals.groups[0].signals, absent)
-        return PlannedRun(
-            self.plant, [replace(trial, columns=columns | trial.columns)], self.planned
-        )
+        trial = planned_trial(self.like, motion, payload_kg)
+        absent = dict.fromkeys(self.estimator.residuals.groups[0].signals, np.zeros(len(trial)))
+        trial = replace(trial, columns=absent | trial.columns)
+        return PlannedRun(self.plant, [trial], self.planned)
 
     def separations(self, run: PlannedRun) -> tuple[float, ...]:
         """d′ of every pair with the planned trial added."""
         estimator = GaussNewton(run, self.planned_floor(run))
-        points = [estimator.linearise(estimator.at(v)) for v in self.values]
+        points = [estimator.linearise(estimator.at(v), self._named) for v in self.values]
         return tuple(
             self._refitted(k, estimator, points[a], points[b])
             for k, (a, b) in enumerate(self.pairs)
         )
+
+    def added(self, separations: Sequence[float]) -> Array:
+        """d′ that the planned trial itself adds to every pair."""
+        return np.asarray(np.sqrt(np.square(separations) - np.square(self.before)))
 
     def planned_floor(self, run: PlannedRun) -> NoiseFloor:
         """Noise floor of a planned trial.
@@ -191,20 +198,28 @@ class SeparationModel:
         return float(np.sqrt(max(best, self.before[pair] ** 2)))
 
 
-def _effect_parameters(plant: Plant, rivals: Sequence[Rival], dof: int) -> list[FitParameter]:
-    """Fit parameters of all effects that some rival names."""
-    known = {
-        candidate: parameters
-        for effect in candidate_effects(plant)
-        for candidate, parameters in effect_candidates(plant, effect, dof).items()
-    }
-    named = sorted({c for r in rivals for c in r.effects})
-    for candidate in named:
-        if candidate not in known:
-            raise InputError(
-                "gap.json", f"names {candidate!r}, no effect of this plant", "diagnose again"
-            )
-    return [q for candidate in named for q in known[candidate]]
+def planned_trial(like: Trial, motion: Motion, payload_kg: float) -> Trial:
+    """Trial of a motion before it is run: conditions and goals; the angles equal the goals."""
+    goal_rad = motion.table_rad(rest_samples=REST_SAMPLES)
+    columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
+    for j in range(motion.dof):
+        columns[f"goal_{j + 1}_rad"] = columns[f"angle_{j + 1}_rad"] = goal_rad[:, j]
+    meta = msgspec.structs.replace(
+        like.meta, motion=motion.kind, payload_kg=payload_kg, period_s=motion.period_s,
+        amplitude_rad=motion.amplitude_rad, phase_2_rad=motion.phase_2_rad,
+        rest_samples=REST_SAMPLES, source="simulated",
+    )  # fmt: skip
+    return Trial(motion.kind, meta, columns)
+
+
+def _refuse_other_effects(
+    rivals: Sequence[HypothesisRecord], fit_parameters: Sequence[FitParameter]
+) -> None:
+    known = {q.effect for q in fit_parameters}
+    for candidate in sorted({c for r in rivals for c in r.effects} - known):
+        raise InputError(
+            "gap.json", f"names {candidate!r}, no effect of this plant", "diagnose again"
+        )
 
 
 def _own_error_fraction(floor: NoiseFloor, trials: Sequence[Trial]) -> dict[str, float]:

@@ -1,1 +1,1 @@
-"""Results of a diagnosis: gap.json, its page and the waterfall of improvements."""
+"""Results of a diagnosis: the class, gap.json, its words, charts and page."""

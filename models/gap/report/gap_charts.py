@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,7 +11,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from firmware_py.core.units import TIME, DisplayUnit, si_unit, signal_words
-from models.gap.report.gap_json import MappedRegion, largest_gaps
+from models.gap.report.gap_json import GapDocument, largest_gaps
+from models.gap.report.gap_words import most_improved_signal
 from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import Plant
 from models.shared.pages import LegendEntry
@@ -20,8 +21,6 @@ from models.trials.trial import Trial
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from models.gap.diagnosis import Diagnosis
 
 Array = NDArray[np.float64]
 SHOWN_ROWS: Final = 400
@@ -34,7 +33,7 @@ BEFORE_AND_AFTER: Final = (LegendEntry(BEFORE, "before"), LegendEntry(AFTER, "af
 class SignalCurves:
     """Signal of a trial in SI units: measured, and simulated before and after."""
 
-    trial: Trial
+    trial: str
     signal: str
     unit: str
     time_s: Array
@@ -47,41 +46,29 @@ class SignalCurves:
         """Measured minus simulated."""
         return [self.measured - simulated for simulated in self.simulated]
 
-    @property
-    def rms(self) -> list[float]:
-        return [float(np.sqrt(np.nanmean(error**2))) for error in self.errors]
-
 
 def signal_curves(
-    before: Plant,
-    after: Plant,
-    trials: Sequence[Trial],
-    regions: Sequence[MappedRegion],
-    floor_rms: Mapping[str, float],
-    first: str | None = None,
-    unused: Mapping[str, int] | None = None,
+    document: GapDocument, before: Plant, after: Plant, trials: Sequence[Trial]
 ) -> list[SignalCurves]:
     """Signals with the largest gap, on the trial in which the error of the first one falls most.
 
-    `first`: signal that comes first, by default that with the largest gap. `unused`: first row that
-    is not used, by trial.
+    The signal that the headline states comes first.
     """
-    outputs = before.step_model(trials[0].meta.dof, "twin").outputs
-    units = {v.name: v.unit for v in outputs}
-    order = sorted(largest_gaps(regions) or units, key=lambda s: s != first)
+    errors, first = document.before.held_out, most_improved_signal(document)
+    order = sorted(largest_gaps(document.map) or errors, key=lambda s: s != first)
     pairs = list(zip(*(compare_with_trials(p, trials) for p in (before, after)), strict=True))
     both = max(pairs, key=lambda pair: _fall(pair, order))
-    trial = both[0].trial
-    end = (unused or {}).get(trial.name, len(trial))
+    trial, measured = both[0].trial, both[0].measured
+    end = document.goal_not_followed_at_row.get(trial.name, len(trial))
     result = []
-    for signal in [s for s in order if s in both[0].simulated][:MOST_SIGNALS]:
+    for signal in [s for s in order if s in measured][:MOST_SIGNALS]:
         simulated = [c.simulated[signal][:end] for c in both]
         result.append(
             SignalCurves(
-                trial, signal, units[signal], trial.time_s[:end] - trial.time_s[0],
-                both[0].measured[signal][:end],
+                trial.name, signal, errors[signal].unit, trial.time_s[:end] - trial.time_s[0],
+                measured[signal][:end],
                 tuple(simulated[: 1 if np.array_equal(simulated[0], simulated[1]) else 2]),
-                floor_rms.get(signal),
+                document.floor_rms.get(signal),
             )
         )  # fmt: skip
     return result
@@ -120,19 +107,15 @@ def draw_signal(
     lower.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
 
 
-def plot_signals(diagnosis: Diagnosis) -> Figure:
+def plot_signals(
+    document: GapDocument, before: Plant, after: Plant, trials: Sequence[Trial]
+) -> Figure:
     """Signals with the largest gap over time: measured, simulated before and after, and errors."""
     from matplotlib import pyplot
 
-    from models.gap.report.gap_results import mapped, noise_floor_rms
     from models.shared.drawing import FILE_STYLE
 
-    floor = noise_floor_rms(diagnosis) if diagnosis.floor.learned else {}
-    rows = signal_curves(
-        diagnosis.plant, diagnosis.improved, diagnosis.trials, mapped(diagnosis.located),
-        {s: row.rms for s, row in floor.items()},
-        unused=diagnosis.nuisance.estimator.residuals.goal_not_followed(),
-    )  # fmt: skip
+    rows = signal_curves(document, before, after, trials)
     figure: Figure
     with pyplot.rc_context(FILE_STYLE):
         figure, axes = pyplot.subplots(
@@ -143,7 +126,7 @@ def plot_signals(diagnosis: Diagnosis) -> Figure:
             unit = si_unit(curves.unit)
             draw_signal(upper, lower, curves, unit, unit)
         axes[0, 0].legend(fontsize=7)
-        band = "; grey: noise floor" if diagnosis.floor.learned else ""
-        figure.suptitle(f"Trial {rows[0].trial.name}{band}", fontsize=10)
+        band = "; grey: noise floor" if document.floor_rms else ""
+        figure.suptitle(f"Trial {rows[0].trial}{band}", fontsize=10)
         pyplot.close(figure)
     return figure

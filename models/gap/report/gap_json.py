@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import msgspec
 
-from firmware_py.core.documents import Document, read_document, write_document
+from firmware_py.core.documents import Document, read_document
 from models.gap.decision.certainty import Answers
-from models.gap.diagnosis import GapVerdict
 from models.gap.estimation.transfer import Knowledge
+from models.gap.experiment.rival import HypothesisRecord
 from models.gap.outliers import OutlierTrial
 from models.gap.settings import GapSettings
+
+GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
+"""Nothing is missing; the named effects explain the gap; more than noise is left beside them;
+something outside of the catalogue is missing; the noise is unknown, so nobody can tell."""
 
 
 class SignalFloor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -95,7 +99,7 @@ class SimilarEffects(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SeparatingMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Motion that would tell look-alikes apart, and the least d′ on each fixed motion."""
+    """Motion and payload that would tell look-alikes apart, and the least d′ that each adds."""
 
     motion: str
     separation: dict[str, float]
@@ -144,23 +148,19 @@ class RejectedEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reason: str
 
 
-class HypothesisRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Set of effects that may be missing, and its probability; an empty set means nothing.
-
-    `parameters` holds the fitted values by the name of the plant's parameter, nuisance included.
-    """
-
-    effects: tuple[str, ...]
-    probability: Annotated[float, msgspec.Meta(ge=0, le=1)]
-    parameters: dict[str, float]
-
-
 class SignalGap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Root mean square error of a signal in its SI unit, and in noise floors where there is one."""
 
     rms: float
     unit: str
     floors: float | None
+
+
+class PlantErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Errors of a plant by signal: on all trials, and on each part of them by a fit of the rest."""
+
+    fitted: dict[str, SignalGap]
+    held_out: dict[str, SignalGap]
 
 
 class HeldOutSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -181,10 +181,13 @@ class WrittenPlant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reason: str = ""
 
 
+Condition = Literal["step_s", "payload_kg", "pressure_pa"]
+
+
 class ChangedCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Condition with values that no trial of the plant has."""
 
-    condition: Literal["step_s", "payload_kg", "pressure_pa"]
+    condition: Condition
     unit: str
     plant: tuple[float, ...]  # Values in the trials of the plant
     trials: tuple[float, ...]  # Values in the diagnosed trials that no trial of the plant has
@@ -210,7 +213,7 @@ class GapDocument(Document, frozen=True, kw_only=True):
     Attributes
     ----------
     verdict : str
-        See `models.gap.diagnosis.GapVerdict`.
+        See `GapVerdict`.
     headline : str
         Verdict, names and what was written in words, as on the console and the page.
     probabilities : Answers or None
@@ -234,9 +237,8 @@ class GapDocument(Document, frozen=True, kw_only=True):
         Where the gap is: in words, significant regions ranked, and all regions.
     noise_floor : NoiseFloorSummary
         Noise floor by signal.
-    before, after : dict
-        Errors of the diagnosed and of the improved plant: "fitted" (all trials) or "held_out" (each
-        part of the trials by a fit of the others) → signal → SignalGap.
+    before, after : PlantErrors
+        Errors of the diagnosed and of the improved plant.
     held_out : HeldOutSummary
         What was left out in turn.
     odd_trials : tuple of OutlierTrial
@@ -279,8 +281,8 @@ class GapDocument(Document, frozen=True, kw_only=True):
     located: tuple[MappedRegion, ...]
     map: tuple[MappedRegion, ...]
     noise_floor: NoiseFloorSummary
-    before: dict[str, dict[str, SignalGap]]
-    after: dict[str, dict[str, SignalGap]]
+    before: PlantErrors
+    after: PlantErrors
     held_out: HeldOutSummary
     odd_trials: tuple[OutlierTrial, ...] = ()
     changed_conditions: tuple[ChangedCondition, ...] = ()
@@ -295,16 +297,6 @@ class GapDocument(Document, frozen=True, kw_only=True):
         floor = self.noise_floor
         return {s: row.rms for s, row in floor.signals.items()} if floor.learned else {}
 
-    @property
-    def best_known_errors(self) -> tuple[dict[str, SignalGap], dict[str, SignalGap]]:
-        """Errors before and after, on what was left out if they are known."""
-        part = "held_out" if "held_out" in self.before else "fitted"
-        return self.before[part], self.after[part]
-
 
 def read_gap_document(path: Path) -> GapDocument:
     return read_document(path, GapDocument)
-
-
-def write_gap_document(path: Path, document: GapDocument) -> None:
-    write_document(path, document)

@@ -12,30 +12,33 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import msgspec
+import numpy as np
 from markupsafe import Markup
 
+from firmware_py.core.documents import write_document
 from firmware_py.core.signals import without_unit
 from firmware_py.core.units import FRACTION, error_unit, signal_unit, signal_words
-from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_charts import (
     BEFORE_AND_AFTER,
     SignalCurves,
     draw_signal,
     signal_curves,
 )
-from models.gap.report.gap_json import GapDocument, MappedRegion
+from models.gap.report.gap_json import DiagnosisInputs, GapDocument, MappedRegion, NamedEffect
+from models.gap.report.gap_results import Diagnosis
 from models.gap.report.gap_words import (
     amount,
     effect_in_words,
+    effects_to_check,
     errors_in_order,
     errors_of_what,
     in_percent,
     look_alikes_in_words,
-    most_improved_signal,
     next_step_in_words,
+    notes_in_words,
     refused_in_words,
 )
-from models.gap.report.trial_notes import notes_in_words
 from models.gap.residuals.localisation import FALSE_DISCOVERY_RATE, signal_in_words
 from models.plant.plant import Plant
 from models.shared.catalogue import EVERY_EFFECT
@@ -55,31 +58,47 @@ from models.shared.pages import (
 )
 from models.shared.palette import MEASURED, MUTED
 from models.trials.origin import origin_notice, origins_of
-from models.trials.trial import Trial, TrialSet
+from models.trials.trial import Trial
 
 MOST_HYPOTHESES: Final = 6
 FACTORS: Final = {
     "phase": "Phase of the cycle", "stroke": "Stroke", "payload": "Payload",
     "band": "Frequency in Hz", "angle": "Angle", "direction": "Direction",
 }  # fmt: skip
-SHORT_LEVELS: Final = {
+LEVELS: Final = {
     "way out to positive angles": "out to +", "return from positive angles": "back from +",
     "way out to negative angles": "out to −", "return from negative angles": "back from −",
-    "towards +": "to +", "towards −": "to −",
+    "towards +": "to +", "towards −": "to −", "standing": "standing",
+    "negative": "negative", "middle": "middle", "positive": "positive",
 }  # fmt: skip
+"""Levels of a factor without a number, in the order of their columns, with their heads."""
 
 
-def write_gap_page(
-    document: GapDocument, before: Plant, after: Plant, trials: TrialSet, path: Path
-) -> Path:
-    lead = gap_lead(document, before, after, trials, str(path.with_name("gap.json")))
+def write_results(
+    diagnosis: Diagnosis, inputs: DiagnosisInputs, out: Path
+) -> tuple[GapDocument, Path]:
+    """Write OUT/gap.json, OUT/plant.json and OUT/report.html.
+
+    Returns the document and the path of the page.
+    """
+    document = msgspec.structs.replace(diagnosis.document, inputs=inputs)
+    out.mkdir(parents=True, exist_ok=True)
+    write_document(out / "gap.json", document)
+    diagnosis.improved.write(out / "plant.json")
     page = render_page(
         "The gap between plant and measurement",
-        [origin_notice(origins_of(trials)), *lead],
+        [
+            origin_notice(origins_of(diagnosis.trials)),
+            *gap_lead(
+                document, diagnosis.plant, diagnosis.improved, diagnosis.trials,
+                str(out / "gap.json"),
+            ),
+        ],
         gap_sections(document),
-    )
+    )  # fmt: skip
+    path = out / "report.html"
     path.write_text(page, encoding="utf-8")
-    return path
+    return document, path
 
 
 def gap_lead(
@@ -90,16 +109,12 @@ def gap_lead(
     gap_json: str = "OUT/gap.json",
 ) -> list[Part]:
     """What is wrong and how sure that is, what to do, how much better the plant is, and where."""
-    curves = signal_curves(
-        before, after, trials, document.map, document.floor_rms,
-        most_improved_signal(document), document.goal_not_followed_at_row,
-    )  # fmt: skip
     next_step = Markup("<b>Next:</b> {}").format(next_step_in_words(document, gap_json))
     return [
         Paragraph(document.headline, "lead"),
         *_checks(document),
         Paragraph(next_step),
-        _signals(document, curves),
+        _signals(document, signal_curves(document, before, after, trials)),
         _errors(document),
     ]
 
@@ -109,7 +124,7 @@ def _signals(document: GapDocument, curves: Sequence[SignalCurves]) -> Figure:
     legend += [LegendEntry(MUTED, "noise floor")] if document.floor_rms else []
     return Figure(
         "Measured and simulated",
-        f"Trial {curves[0].trial.name}, in which the error of the first signal falls most; below "
+        f"Trial {curves[0].trial}, in which the error of the first signal falls most; below "
         "each signal its error, measured minus simulated.",
         [_signal(row) for row in curves],
         legend=legend,
@@ -122,7 +137,7 @@ def _signal(curves: SignalCurves) -> Panel:
         upper, lower = ax.figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         ax.remove()
         draw_signal(upper, lower, curves, signal_unit(curves.signal), error_unit(curves.unit))
-    errors = " → ".join(unit.significant(rms) for rms in curves.rms)
+    errors = " → ".join(unit.significant(np.sqrt(np.nanmean(e**2))) for e in curves.errors)
     return drawing.panel(
         f"{name}: error {errors}",
         f"{name} over {curves.time_s[-1]:.1f} s, measured and simulated; RMS error {errors}.",
@@ -135,7 +150,7 @@ def _errors(document: GapDocument) -> Table:
     for signal, before, after in errors_in_order(document):
         unit, name = error_unit(before.unit), signal_in_words(signal)
         row: list[Cell] = [
-            unit.label(name[0].upper() + name[1:]),
+            unit.label(_capitalised(name)),
             f"{unit.factor * before.rms:.3g}",
             f"{unit.factor * after.rms:.3g}",
             _change(after.rms / before.rms - 1) if before.rms else NO_VALUE,
@@ -150,7 +165,7 @@ def _errors(document: GapDocument) -> Table:
         "that was written."
         + (" What varies between trials counts; the floor leaves it out." if floor else "")
     )
-    return Table(title[0].upper() + title[1:], head, rows, note)
+    return Table(_capitalised(title), head, rows, note)
 
 
 def _change(fraction: float) -> str:
@@ -182,7 +197,7 @@ def _what(document: GapDocument) -> list[Part]:
     parts: list[Part] = []
     if document.named:
         head = ["named", "value", "d′"]
-        parts.append(Table("", head, [_named_row(document, k) for k in range(len(document.named))]))
+        parts.append(Table("", head, [_named_row(row) for row in document.named]))
     texts = [look_alikes_in_words(row) for row in document.named] + refused_in_words(document)
     parts += [Paragraph(text) for text in texts if text]
     if document.probabilities is not None:
@@ -193,8 +208,7 @@ def _what(document: GapDocument) -> list[Part]:
     return parts
 
 
-def _named_row(document: GapDocument, k: int) -> list[Cell]:
-    row = document.named[k]
+def _named_row(row: NamedEffect) -> list[Cell]:
     known = EVERY_EFFECT.get(row.effect)
     values = Markup("<br>").join(
         f"{without_unit(name)}: {amount(q)}" + ("" if q.error is not None else " (not fitted)")
@@ -218,13 +232,8 @@ def _hypotheses(document: GapDocument, outside: float) -> Table:
 
 def _written(document: GapDocument) -> list[Part]:
     """Effects and values of the plant that was written, and why it lacks others."""
-    written, parts = document.written, []
-    lacking = [e for r in document.refused if r.kind == "not written" for e in r.effects]
-    if lacking:
-        names = ", ".join(map(effect_in_words, lacking))
-        parts.append(Paragraph(f"Named, but not written: {names}. {_sentence(written.reason)}"))
-    elif written.reason:
-        parts.append(Paragraph(_sentence(written.reason)))
+    written = document.written
+    parts: list[Part] = [Paragraph(f"{_capitalised(written.reason)}.")] if written.reason else []
     if not written.parameters:
         return [*parts, Paragraph("The plant was written unchanged.")]
     rows: list[list[Cell]] = [
@@ -234,8 +243,8 @@ def _written(document: GapDocument) -> list[Part]:
     return [*parts, table]
 
 
-def _sentence(clause: str) -> str:
-    return f"{clause[0].upper()}{clause[1:]}."
+def _capitalised(clause: str) -> str:
+    return clause[0].upper() + clause[1:]
 
 
 def _rejected(document: GapDocument) -> Table:
@@ -244,7 +253,7 @@ def _rejected(document: GapDocument) -> Table:
         words = f"{effect_in_words(row.effect)} ({row.separation:.1f})"
         by_reason.setdefault(row.reason, []).append(words)
     rows: list[list[Cell]] = [
-        [reason[0].upper() + reason[1:], ", ".join(names)] for reason, names in by_reason.items()
+        [_capitalised(reason), ", ".join(names)] for reason, names in by_reason.items()
     ]
     return Table("", ["reason", "effects, with their d′"], rows)
 
@@ -292,14 +301,11 @@ def _shaded(region: MappedRegion | None, largest: float) -> TableCell:
     return TableCell(text, shade=math.log(max(region.size, 1.0)) / math.log(largest))
 
 
-def _level_order(level: str) -> tuple[float, str]:
-    """Sort key of a level: numeric levels by value, others in a fixed order."""
+def _level_order(level: str) -> float:
+    """Place of a level among the columns: by its number, or as listed."""
     number = re.match(r"[\d.]+", level)
-    if number:
-        return float(number[0]), level
-    order = [*SHORT_LEVELS, "negative", "middle", "positive"]
-    return float(order.index(level) if level in order else len(order)), level
+    return float(number[0]) if number else float(list(LEVELS).index(level))
 
 
 def _level_words(level: str) -> str:
-    return SHORT_LEVELS.get(level, level.removesuffix(" Hz").replace(" to ", "–"))
+    return LEVELS.get(level, level.removesuffix(" Hz").replace(" to ", "–"))

@@ -10,17 +10,15 @@ from typing import Final
 from firmware_py.core.signals import without_unit
 from firmware_py.core.units import DURATION, DisplayUnit, error_unit
 from models.gap.decision.certainty import DECIDED
-from models.gap.report.effect_checks import effects_to_check, standing_out
 from models.gap.report.gap_json import (
     FittedValue,
     GapDocument,
     NamedEffect,
+    RefusedEffects,
     SignalGap,
     largest_gaps,
 )
-from models.gap.report.trial_notes import notes_in_words
-from models.gap.residuals.localisation import signal_in_words
-from models.gap.search.far_strengths import UNDETECTED_SEPARATION
+from models.gap.residuals.localisation import groups_in_words, signal_in_words
 from models.shared.catalogue import EVERY_EFFECT, effect_and_joint
 
 MOSTLY: Final = 3.0
@@ -32,6 +30,21 @@ REPORTED_CHANGE: Final = 0.02
 """Least relative change of a link parameter that is reported [assumed]."""
 MOST_LISTED: Final = 4
 """Most signals, look-alikes or effects in one place."""
+GENERAL_CHECK: Final = (
+    "Change it on the robot on purpose, or take its cause away, and record a trial again."
+)
+"""Check of an effect that is not in the catalogue, such as one in a file of the user."""
+MOST_CHECKS: Final = 5
+"""Most effects that are listed."""
+CHANGED: Final = {
+    "step_s": "Rows are {here} apart, {known} in the trials of the plant: right if the robot sent "
+    "its goals at this step, wrong if the rows were resampled.",
+    "payload_kg": "The plant was identified with {known} kg, not with {here} kg, so effects must "
+    "be larger to be named there; identify it with these payloads too.",
+    "pressure_pa": "The pressure is {here} Pa, {known} Pa in the trials of the plant: a change of "
+    "the link is no missing effect.",
+}  # fmt: skip
+"""What differs from the trials of the plant, and its consequence, by condition."""
 
 
 def effect_in_words(candidate: str) -> str:
@@ -63,20 +76,18 @@ def _unit(unit: str) -> DisplayUnit:
     return DURATION if unit == "s" else error_unit(unit)
 
 
-def strength_of(row: NamedEffect) -> tuple[int | None, FittedValue | None]:
-    """Strength that changed most, and its joint if it is one of a single joint."""
-    if not row.parameters:
-        return row.joint, None
+def strength_of(row: NamedEffect) -> tuple[int | None, str]:
+    """Parameter of the strength that changed most, and its joint if it is one of a single joint."""
     first = next(iter(row.parameters))
-    alike = {
-        joint: row.parameters[name]
-        for joint in (1, 2)
-        if (name := re.sub(r"_1(?=_|$)", f"_{joint}", first)) in row.parameters
+    names = {joint: re.sub(r"_1(?=_|$)", f"_{joint}", first) for joint in (1, 2)}
+    change = {
+        joint: abs(row.parameters[name].value - row.parameters[name].before)
+        for joint, name in names.items()
+        if name in row.parameters
     }
-    change = {joint: abs(q.value - q.before) for joint, q in alike.items()}
     most = max(change, key=lambda joint: change[joint])
-    is_single = len(change) > 1 and "_1" in first and change[most] > MOSTLY * min(change.values())
-    return row.joint or (most if is_single else None), alike[most]
+    is_single = names[1] != names[2] and change[most] > MOSTLY * min(change.values())
+    return row.joint or (most if is_single else None), names[most]
 
 
 # What is wrong, how sure that is, and how much better the plant is ------------------------------
@@ -105,10 +116,9 @@ def _names_in_words(document: GapDocument) -> str:
 
 
 def _name_in_words(document: GapDocument, row: NamedEffect) -> str:
-    joint, value = strength_of(row)
-    words = row.effect.replace("_", " ") + (f" of joint {joint}" if joint else "")
-    if value is not None:
-        words += f" {amount(value)}"
+    joint, strength = strength_of(row)
+    words = effect_in_words(f"{row.effect}:{joint}" if joint else row.effect)
+    words += f" {amount(row.parameters[strength])}"
     known = EVERY_EFFECT.get(row.effect)
     about = [known.strength] if known and len(document.named) == 1 else []
     if document.probabilities is not None:
@@ -152,7 +162,7 @@ def _better(document: GapDocument) -> list[str]:
     result = []
     signal = most_improved_signal(document)
     if signal is not None and document.written.parameters:
-        before, after = (rows[signal] for rows in document.best_known_errors)
+        before, after = (errors.held_out[signal] for errors in (document.before, document.after))
         unit = error_unit(before.unit)
         result.append(
             f"The error of {signal_in_words(signal)} falls from {unit.factor * before.rms:.3g} to "
@@ -175,26 +185,19 @@ def _better(document: GapDocument) -> list[str]:
 
 def _written_otherwise(document: GapDocument) -> list[str]:
     """Strengths that the written plant has with another value than the named one."""
-    others, of_effects = [], set[str]()
+    others = []
     for row in document.named:
-        of_effects |= set(row.parameters)
-        _, value = strength_of(row)
-        name = next((n for n, q in row.parameters.items() if q is value), "")
-        written = document.written.parameters.get(name)
-        if value and written:
-            change = max(abs(value.value - value.before), 1e-12)
-            if abs(written.value - value.value) > OTHER_STRENGTH * change:
-                others.append(f"{effect_in_words(row.candidate)} {amount(written)}")
-    if not others:
-        return []
-    as_before = " with the rest of the plant as before"
-    how = as_before if set(document.written.parameters) <= of_effects else ""
-    return [f"The written plant has {', '.join(others)}, fitted{how}."]
+        _, strength = strength_of(row)
+        named, written = row.parameters[strength], document.written.parameters.get(strength)
+        change = max(abs(named.value - named.before), 1e-12)
+        if written and abs(written.value - named.value) > OTHER_STRENGTH * change:
+            others.append(f"{effect_in_words(row.candidate)} {amount(written)}")
+    return [f"The written plant has {', '.join(others)}."] if others else []
 
 
 def most_improved_signal(document: GapDocument) -> str | None:
     """Signal whose error falls most in noise floors; None if none falls."""
-    before, after = document.best_known_errors
+    before, after = document.before.held_out, document.after.held_out
     falls = {
         s: row.floors - new
         for s, row in before.items()
@@ -206,16 +209,55 @@ def most_improved_signal(document: GapDocument) -> str | None:
 
 def errors_in_order(document: GapDocument) -> list[tuple[str, SignalGap, SignalGap]]:
     """Signal, error before and after, the signal with the largest gap first."""
-    before, after = document.best_known_errors
+    before, after = document.before.held_out, document.after.held_out
     gap = largest_gaps(document.map)
     order = sorted(before, key=lambda s: (-gap.get(s, 0.0), -(before[s].floors or 0.0)))
     return [(s, before[s], after[s]) for s in order if s in after]
 
 
 def errors_of_what(document: GapDocument) -> str:
-    if "held_out" not in document.before:
-        return "error on the trials"
     return f"error on {joined(document.held_out.left_out)} left out"
+
+
+# The trials -------------------------------------------------------------------------------------
+
+
+def notes_in_words(document: GapDocument) -> list[str]:
+    """One sentence for each note on the trials: which were used, and where the plant is known."""
+    floor = document.noise_floor
+    notes = [
+        f"{o.name} ({o.payload_kg:g} kg) is left out: it differs from the plant by {o.floors:.1f} "
+        f"noise floors, comparable trials by {o.floors_of_comparable:.1f}."
+        for o in document.odd_trials
+    ]
+    if unused := _listed(document.goal_not_followed_at_row, "{} from row {}"):
+        notes.append(f"The current saturates and the joint does not follow, unused: {unused}.")
+    if fitted := _listed(document.rows_fitted, "{1} of {0}"):
+        notes.append(f"Only the first rows of the longest trials were fitted: {fitted}.")
+    if larger := _listed(floor.amplification, "{1:.1f} times at {0} kg"):
+        notes.append(
+            "Repetitions differ far more than when the plant was identified, so the noise floor is "
+            f"larger: {larger}."
+        )
+    unknown = groups_in_words(key for key, known in floor.own_error.items() if known == "unknown")
+    if floor.learned and unknown:
+        notes.append(
+            "The plant's own error is not known, so effects must be larger to be named; identify "
+            f"the plant on trials of this motion too: {unknown}."
+        )
+    for row in document.changed_conditions:
+        here, known = (
+            ", ".join(DURATION.text(v) if row.unit == "s" else f"{v:g}" for v in values)
+            for values in (row.trials, row.plant)
+        )
+        notes.append(CHANGED[row.condition].format(here=here, known=known))
+    if document.settings.same_link:
+        notes.append("The link is taken for the one that the plant was identified on.")
+    return notes
+
+
+def _listed(rows: dict[str, int] | dict[str, float], words: str) -> str:
+    return ", ".join(words.format(name, value) for name, value in rows.items())
 
 
 # What else could explain it, and what to do ------------------------------------------------------
@@ -227,13 +269,33 @@ def look_alikes_in_words(row: NamedEffect) -> str:
         return ""
     sets = [" with ".join(map(effect_in_words, c.effects)) for c in row.look_alikes[:MOST_LISTED]]
     words = f"These trials cannot tell {effect_in_words(row.candidate)} from {joined(sets, 'or')}"
-    motion = row.separated_by
-    if motion is None or not motion.separation:
+    if row.separated_by is None:
         return f"{words}."
-    largest = max(motion.separation.values())
-    if largest < UNDETECTED_SEPARATION:
-        return f"{words}; no fixed motion does either."
-    return f"{words}; the motion '{motion.motion}' would (d′ {largest:.0f})."
+    motion, separation = row.separated_by.motion, row.separated_by.separation
+    return f"{words}; {motion} would add most to separate them (d′ {separation[motion]:.1f})."
+
+
+def standing_out(document: GapDocument) -> list[RefusedEffects]:
+    """Effects that stand out and are not named, unless the named ones explain the gap."""
+    if document.verdict == "closed":
+        return []
+    return [row for row in document.refused if row.kind != "not written"]
+
+
+def effects_to_check(document: GapDocument) -> dict[str, str]:
+    """Check of each effect that is named, may be missing, or looks like a named one.
+
+    An effect that may be missing beside the named ones comes last.
+    """
+    named = [row.effect for row in document.named]
+    likely = [e for e, p in document.effect_probabilities.items() if p > 1 - DECIDED]
+    alike = [e for row in document.named for other in row.look_alikes for e in other.effects]
+    refused = [e for row in standing_out(document) for e in row.effects]
+    order = dict.fromkeys(effect_and_joint(e)[0] for e in (*named, *likely, *alike, *refused))
+    return {
+        e: EVERY_EFFECT[e].check if e in EVERY_EFFECT else GENERAL_CHECK
+        for e in list(order)[:MOST_CHECKS]
+    }
 
 
 def refused_in_words(document: GapDocument) -> list[str]:

@@ -26,7 +26,9 @@ from models.gap.decision.certainty import (
     read_certainty,
 )
 from models.gap.decision.naming import evidence_of
-from models.gap.diagnosis import Diagnosis, GapVerdict, diagnose
+from models.gap.diagnosis import diagnose
+from models.gap.report.gap_json import GapVerdict
+from models.gap.report.gap_results import Diagnosis
 from models.gap.training.cases import PAYLOAD_SETS, PAYLOADS_KG, HiddenCase, motion_named
 from models.plant.identification.identify import identify
 from models.plant.plant import Plant, read_plant

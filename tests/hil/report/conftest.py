@@ -29,6 +29,7 @@ from models.gap.report.gap_json import (
     NamedEffect,
     NamingEvidence,
     NoiseFloorSummary,
+    PlantErrors,
     RejectedEffect,
     SignalFloor,
     SignalGap,
@@ -137,10 +138,9 @@ def diagnosis():
         evidence=NamingEvidence(40.0, 25.0, 0.05, 1.1), look_alikes=(),
     )  # fmt: skip
     errors = {
-        rms: {part: {s: SignalGap(rms, unit, rms / 1e-3) for s, unit in signals.items()}
-              for part in ("fitted", "held_out")}
+        rms: {s: SignalGap(rms, unit, rms / 1e-3) for s, unit in signals.items()}
         for rms in (1e-2, 1e-3)
-    }  # fmt: skip
+    }
     return GapDocument(
         schema=GapDocument.VERSION, verdict="closed", gap_left_fraction=0.1,
         separation_of_nothing=25.0, headline="Missing: stiffness softening 19 ± 1 %.",
@@ -150,7 +150,8 @@ def diagnosis():
         rejected=(RejectedEffect("load_dependent_friction", 7.0, "noise"),),
         written=WrittenPlant(("stiffness_softening",), parameters),
         held_out=HeldOutSummary(("repetitions",), 0.2), settings=DEFAULT_SETTINGS,
-        before=errors[1e-2], after=errors[1e-3],
+        before=PlantErrors(errors[1e-2], errors[1e-2]),
+        after=PlantErrors(errors[1e-3], errors[1e-3]),
     )  # fmt: skip
 
 

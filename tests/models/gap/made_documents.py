@@ -22,7 +22,7 @@ def errors(tip_m, angle_rad):
         TIP: gap.SignalGap(tip_m, "m", tip_m / 1e-3),
         ANGLE: gap.SignalGap(angle_rad, "rad", angle_rad / 1e-3),
     }
-    return {"held_out": signals}
+    return gap.PlantErrors({}, signals)
 
 
 def document(verdict="no gap", *rows, answers=(0.0, 0.98, 0.02), learned=True, **changes):

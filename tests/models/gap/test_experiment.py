@@ -19,11 +19,16 @@ from models.gap.experiment.experiment import (
     planned_motions,
     rank_motions,
     twin_keeps,
+    usual_motions,
 )
-from models.gap.experiment.rival import Rival, credible_set, fitted_values_of, rivals_of
-from models.gap.experiment.separation import SeparationModel
-from models.gap.fixed_motions import planned_trial
-from models.gap.report.gap_json import DiagnosisInputs, HypothesisRecord
+from models.gap.experiment.rival import (
+    HypothesisRecord,
+    credible_set,
+    fitted_values_of,
+    rivals_of,
+)
+from models.gap.experiment.separation import SeparationModel, planned_trial
+from models.gap.report.gap_json import DiagnosisInputs
 from models.gap.residuals.fit_parameters import effect_candidates
 from models.gap.residuals.residuals import Residuals
 from models.gap.settings import DEFAULT_SETTINGS
@@ -88,7 +93,7 @@ def test_the_values_of_a_hypothesis_become_those_of_its_candidates(effects, chan
     fit_parameters = [q for parameters in candidates for q in parameters]
     friction = ("coulomb_friction_1_nm", "coulomb_friction_2_nm")
     parameters = {n: plant.parameters[n].value + c for n, c in zip(friction, changes, strict=True)}
-    fitted = fitted_values_of(Rival(effects, 1.0, parameters), plant, fit_parameters)
+    fitted = fitted_values_of(HypothesisRecord(effects, 1.0, parameters), plant, fit_parameters)
     moved = {q.effect: v for q, v in zip(fit_parameters, fitted, strict=True) if v}
     assert moved == pytest.approx(values)
 
@@ -97,8 +102,8 @@ def test_the_values_of_a_hypothesis_become_those_of_its_candidates(effects, chan
 
 LIMITS = Limits(rate_rad_s=1.0, current_a=6.0)
 RIVALS = (
-    Rival(("encoder_offset",), 0.6, {"encoder_offset_1_rad": 0.02}),
-    Rival(("marker_frame_tilt",), 0.4, {"marker_frame_tilt_rad": -0.02}),
+    HypothesisRecord(("encoder_offset",), 0.6, {"encoder_offset_1_rad": 0.02}),
+    HypothesisRecord(("marker_frame_tilt",), 0.4, {"marker_frame_tilt_rad": -0.02}),
 )
 
 
@@ -138,13 +143,13 @@ def refitted(plant, trials, fit_parameters, floor):
 def test_the_separation_is_what_a_refit_to_all_trials_leaves(
     plant, truth, recorded, kind, payload_kg
 ):
-    model = SeparationModel(plant, recorded.trials, RIVALS, DEFAULT_SETTINGS)
+    model = SeparationModel(plant, recorded.trials, RIVALS, [(0, 1)], DEFAULT_SETTINGS)
     meta = recorded[0].meta
     motion = Motion(kind, meta.amplitude_rad, 2 * meta.period_s)
     run = model.planned_run(motion, payload_kg)
     (before,), (separation,) = model.before, model.separations(run)
 
-    planned = as_measured(truth, planned_trial(recorded[0], motion, payload_kg, 60))
+    planned = as_measured(truth, planned_trial(recorded[0], motion, payload_kg))
     every = [q for q in model.estimator.residuals.fit_parameters if q.effect != "encoder_offset"]
     both = every + [replace(q, trial=1) for q in every if q.trial == 0]
     floor, further = model.estimator.floor, model.planned_floor(run).formulation
@@ -177,6 +182,19 @@ def test_a_recorded_motion_is_offered_with_another_payload_alone(recorded):
     assert fewer < count
 
 
+def test_usual_motions_are_those_that_any_servo_may_run(make_trial):
+    def offered(period_s):
+        trial = make_trial(np.zeros((80, 1)), amplitude_rad=0.52, period_s=period_s)
+        return {(motion.kind, kg) for motion, kg in usual_motions(TrialSet((trial,)))}
+
+    # Free decay begins with 6 rad/s, which a servo without a watchdog may not run.
+    kinds = ("sinusoid", "multisine", "triangle", "steps")
+    every = {(kind, payload_kg) for kind in kinds for payload_kg in (1.0, 2.0)}
+    assert offered(4.352) == every - {("sinusoid", 1.0)}  # that of the trial
+    with pytest.raises(InputError, match="no motion to try"):
+        offered(0.05)
+
+
 @pytest.mark.parametrize(
     ("signal", "values", "keeps"),
     [
@@ -205,7 +223,7 @@ def test_a_twin_keeps_its_limits_with_a_margin(make_trial, signal, values, keeps
         (RIVALS, (), {"angle_rad": (0.2, 0.6)}, "no motion to try"),
         (RIVALS, (), {"rate_rad_s": 0.01}, "no motion to try"),
         (RIVALS, (2.0,), {"current_a": 1.5}, "none of the motions in simulation"),
-        ((replace(RIVALS[0], effects=("slip",)), RIVALS[1]), (), {}, "'slip'"),
+        ((msgspec.structs.replace(RIVALS[0], effects=("slip",)), RIVALS[1]), (), {}, "'slip'"),
     ],
 )
 def test_what_nothing_can_be_ranked_for_is_refused(

@@ -45,7 +45,7 @@ def test_whether_the_link_is_the_same_reaches_the_diagnosis(
 
     trials = "models.commands.gap_workflow.gap.read_trial_directories"
     monkeypatch.setattr(trials, lambda *_: hidden())
-    monkeypatch.setattr("models.gap.report.diagnosis_files.write_diagnosis", stop)
+    monkeypatch.setattr("models.gap.diagnosis.diagnose", stop)
     command = ["gap", "trials", "--plant", str(tmp_path / "plant.json")]
     main([*command, "--out", str(tmp_path / "gap"), *options])
     assert [s.same_link for s in settings] == [bool(options)]

@@ -1,7 +1,7 @@
 """The gap document, its page and its sentences: they follow from the diagnosis alone."""
 
 import json
-from types import SimpleNamespace
+from dataclasses import replace as changed_field
 
 import numpy as np
 import pytest
@@ -12,19 +12,19 @@ from firmware_py.core.errors import InputError
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.outliers import OutlierTrial
 from models.gap.report import gap_json as gap
-from models.gap.report import separating_motion as separating_motion_module
-from models.gap.report.diagnosis_files import write_results
-from models.gap.report.effect_checks import GENERAL_CHECK, MOST_CHECKS, effects_to_check
-from models.gap.report.gap_page import localisation_maps
+from models.gap.report.gap_page import localisation_maps, write_results
+from models.gap.report.gap_results import changed_conditions
 from models.gap.report.gap_words import (
+    GENERAL_CHECK,
+    MOST_CHECKS,
     amount,
+    effects_to_check,
     headline,
     most_improved_signal,
     next_step_in_words,
+    notes_in_words,
     strength_of,
 )
-from models.gap.report.separating_motion import NO_MOTION, separating_motion
-from models.gap.report.trial_notes import changed_conditions, notes_in_words
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.document import FittedTrial, Provenance
 from tests.models.gap.made_documents import document, effect
@@ -95,6 +95,17 @@ def test_the_signals_are_drawn_for_a_notebook(late):
     assert labels == ["measured", "before", "after"]
 
 
+def test_a_motion_is_recommended_where_look_alikes_remain(late):
+    other = next(f for f in late.naming.explored if f.candidates == ("creep",))
+    alike = changed_field(late, look_alikes={"dead_time": (other,)})
+    (named,) = alike.document.named
+    motion, added = named.separated_by.motion, named.separated_by.separation
+    assert [row.effects for row in named.look_alikes] == [("creep",)]
+    assert added[motion] == max(added.values()) > 0.0
+    assert {"multisine with 1 kg", "multisine with 2 kg"} <= added.keys()
+    assert f"from creep; {motion} would add most" in alike.summary()
+
+
 # Documents without a diagnosis
 
 
@@ -161,9 +172,11 @@ def test_the_strength_is_that_of_the_joint_that_changed_most(first, second, join
         for j, (before, after) in ((1, first), (2, second))
     }
     row = effect("coulomb_friction", parameters=parameters)
-    changed, value = strength_of(row)
+    changed, strength = strength_of(row)
     assert changed == joint
-    assert value.value == max(first, second, key=lambda pair: abs(pair[1] - pair[0]))[1]
+    assert (
+        parameters[strength].value == max(first, second, key=lambda pair: abs(pair[1] - pair[0]))[1]
+    )
     assert strength_of(replace(row, joint=2))[0] == 2
 
 
@@ -194,30 +207,6 @@ def test_named_effects_are_checked_first_and_further_ones_where_more_than_noise_
     assert checks["hose_spring"] == GENERAL_CHECK, "it is of no catalogue"
     many = document(effect_probabilities=dict.fromkeys("abcdefgh", 0.5))
     assert len(effects_to_check(many)) == MOST_CHECKS and effects_to_check(document()) == {}
-
-
-@pytest.mark.parametrize(
-    ("load", "period_s", "motions"),
-    [
-        # Free decay begins with 6 rad/s, which a servo without a watchdog may not run.
-        ("link", 4.352, {"multisine", "slow triangle", "step and hold"}),
-        ("link", 0.5, set()),
-        ("pendulum", 4.352, set()),
-    ],
-)
-def test_a_motion_is_recommended_that_the_servo_may_run(
-    monkeypatch, make_trial, load, period_s, motions
-):
-    def fastest(plant, trial, alike):
-        return [float(np.abs(np.diff(trial.goal_rad, axis=0)).max())]
-
-    monkeypatch.setattr(separating_motion_module, "_simulated", lambda plant, trial: trial)
-    monkeypatch.setattr(separating_motion_module, "_separations", fastest)
-    trial = make_trial(np.zeros((80, 1)), amplitude_rad=0.52, period_s=period_s)
-    diagnosis = SimpleNamespace(fitted=SimpleNamespace(load=load), trials=[trial])
-    result = separating_motion(diagnosis, ["a look-alike"])
-    assert motions <= set(result.separation) and "free decay" not in result.separation
-    assert result.motion in result.separation if motions else result.motion == NO_MOTION
 
 
 # Notes on the trials
