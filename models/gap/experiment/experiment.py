@@ -35,6 +35,8 @@ VARIATIONS: Final = ((1.0, 1.0), (0.5, 1.0), (1.0, 2.0), (0.5, 0.5))
 SWAPPED_PAYLOAD_KG: Final = 2.0
 """Payload that is tried beside those of the trials; none if they carried more than half of it
 [assumed]."""
+USUAL_LIMITS: Final = Limits(rate_rad_s=UNWATCHED_RATE_RAD_S)
+"""Limits where those of the robot are not known: the defaults, at a rate for any servo."""
 LONGEST_S: Final = 60.0
 """Longest motion that is offered [assumed]."""
 TWIN_MARGIN: Final = 0.85
@@ -99,12 +101,7 @@ def rank_motions(
     ]
     model = SeparationModel(plant, trials.trials, rivals, pairs, settings)
     report("trials at hand judged", len(planned))
-    allowed = []
-    for k, (motion, payload_kg) in enumerate(planned, 1):
-        run = model.planned_run(motion, payload_kg)
-        if all(twin_keeps(limits, run.outputs(v), run.trials[0]) for v in model.values):
-            allowed.append((motion, payload_kg, model.separations(run)))
-        report(f"{motion.kind} with {payload_kg:g} kg tried", len(planned) - k)
+    allowed = allowed_motions(model, planned, limits, report)
     if not allowed:
         raise InputError(
             "--config", "its limits allow none of the motions in simulation",
@@ -124,6 +121,23 @@ def rank_motions(
         tuple(ranked),
         limits,
     )
+
+
+def allowed_motions(
+    model: SeparationModel, planned: Sequence[tuple[Motion, float]], limits: Limits,
+    report: ReportProgress = lambda text, further: None,
+) -> list[tuple[Motion, float, tuple[float, ...]]]:  # fmt: skip
+    """Planned motions and payloads whose simulation stays within the limits at every hypothesis.
+
+    Each with the d′ of every pair with its trial added.
+    """
+    allowed = []
+    for k, (motion, payload_kg) in enumerate(planned, 1):
+        run = model.planned_run(motion, payload_kg)
+        if all(twin_keeps(limits, run.outputs(v), run.trials[0]) for v in model.values):
+            allowed.append((motion, payload_kg, model.separations(run)))
+        report(f"{motion.kind} with {payload_kg:g} kg tried", len(planned) - k)
+    return allowed
 
 
 def _check(
@@ -160,14 +174,10 @@ def _swapped_kg(heaviest_kg: float) -> float:
 
 
 def usual_motions(trials: TrialSet) -> list[tuple[Motion, float]]:
-    """Motions for a robot whose limits are not known, with the heaviest payload and swapped.
-
-    Amplitude and period are those of the trials; every servo may run them.
-    """
+    """Motions with amplitude and period of the trials, with the heaviest payload and swapped."""
     heaviest_kg = max(t.meta.payload_kg for t in trials)
     payloads_kg = (heaviest_kg, _swapped_kg(heaviest_kg))
-    limits = Limits(rate_rad_s=UNWATCHED_RATE_RAD_S)
-    return planned_motions(trials, payloads_kg, limits, VARIATIONS[:1])
+    return planned_motions(trials, payloads_kg, USUAL_LIMITS, VARIATIONS[:1])
 
 
 def planned_motions(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
@@ -115,7 +115,7 @@ class NamedEffect(
 
     effect: str
     joint: int | None
-    parameters: dict[str, FittedValue]
+    parameters: Annotated[dict[str, FittedValue], msgspec.Meta(min_length=1)]
     evidence: NamingEvidence
     look_alikes: tuple[SimilarEffects, ...]
     separated_by: SeparatingMotion | None = None
@@ -212,47 +212,34 @@ class GapDocument(Document, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    verdict : str
-        See `GapVerdict`.
-    headline : str
-        Verdict, names and what was written in words, as on the console and the page.
+    verdict, headline : str
+        See `GapVerdict`; verdict, names and what was written in words.
     probabilities : Answers or None
         Probabilities that nothing is missing, the named effects are, or something outside of the
         catalogue is; None without a learned noise floor.
     gap_left_fraction : float or None
         Fraction of the gap's amplitude that remains with the named effects.
-    named : tuple of NamedEffect
-        Missing effects, the one that explains most first.
-    refused : tuple of RefusedEffects
-        Effects that stand out and are not named, or not written.
-    rejected : tuple of RejectedEffect
-        All other effects of the catalogue.
-    effect_probabilities : dict of str to float
-        Probability of each effect that it is among those missing; those below 1 % are left out.
-    hypotheses : tuple of HypothesisRecord
-        Sets of effects that may be missing, by their probability.
+    named, refused, rejected : tuple
+        Missing effects, the one that explains most first; effects that stand out and are not named,
+        or not written; all others of the catalogue.
+    hypotheses, effect_probabilities
+        Sets of effects that may be missing, by their probability; probability of each effect that
+        it is among those missing, from 1 % on.
     written : WrittenPlant
         What the improved plant has.
     sentence, located, map
         Where the gap is: in words, significant regions ranked, and all regions.
     noise_floor : NoiseFloorSummary
         Noise floor by signal.
-    before, after : PlantErrors
-        Errors of the diagnosed and of the improved plant.
-    held_out : HeldOutSummary
-        What was left out in turn.
-    odd_trials : tuple of OutlierTrial
-        Outlier trials, which were left out.
-    changed_conditions : tuple of ChangedCondition
-        Conditions of the trials that no trial of the plant has.
-    rows_fitted : dict of str to int
-        Rows that were fitted, for each trial that is too long to be fitted as a whole.
-    goal_not_followed_at_row : dict of str to int
-        First row from which the joint does not follow its goal, by trial; later rows are not used.
-    settings : GapSettings
-        Settings of the run.
-    inputs : DiagnosisInputs or None
-        Files of the diagnosis; None where it was run from Python.
+    before, after, held_out
+        Errors of the diagnosed and of the improved plant, and what was left out in turn.
+    odd_trials, changed_conditions : tuple
+        Outlier trials, which were left out; conditions that no trial of the plant has.
+    rows_fitted, goal_not_followed_at_row : dict of str to int
+        By trial: rows that were fitted, of a trial too long to be fitted as a whole; first row from
+        which the joint does not follow its goal, so that it is not used.
+    settings, inputs
+        Settings of the run, and its files; None where it was run from Python.
 
     Examples
     --------

@@ -304,7 +304,7 @@ def _shaded(region: MappedRegion | None, largest: float) -> TableCell:
 def _level_order(level: str) -> float:
     """Place of a level among the columns: by its number, or as listed."""
     number = re.match(r"[\d.]+", level)
-    return float(number[0]) if number else float(list(LEVELS).index(level))
+    return float(number[0]) if number else float([*LEVELS, level].index(level))
 
 
 def _level_words(level: str) -> str:

@@ -19,7 +19,7 @@ from models.gap.decision.written_fit import WrittenFit
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.nuisance_fit import NuisanceFit
 from models.gap.estimation.transfer import step_of
-from models.gap.experiment.experiment import usual_motions
+from models.gap.experiment.experiment import USUAL_LIMITS, allowed_motions, usual_motions
 from models.gap.experiment.rival import HypothesisRecord
 from models.gap.experiment.separation import SeparationModel
 from models.gap.outliers import OutlierTrial
@@ -328,12 +328,11 @@ def _separating_motions(diagnosis: Diagnosis) -> dict[str, SeparatingMotion]:
         diagnosis.plant, diagnosis.trials.trials, rivals, pairs, diagnosis.settings
     )
     added: dict[str, dict[str, float]] = {name: {} for name, _ in alike}
-    for motion, payload_kg in planned:
-        separations = model.separations(model.planned_run(motion, payload_kg))
+    for motion, payload_kg, separations in allowed_motions(model, planned, USUAL_LIMITS):
         for (name, _), d in zip(alike, model.added(separations), strict=True):
             label = f"{motion.kind} with {payload_kg:g} kg"
             added[name][label] = min(round(float(d), 2), added[name].get(label, np.inf))
-    return {n: SeparatingMotion(max(d, key=lambda m: d[m]), d) for n, d in added.items()}
+    return {n: SeparatingMotion(max(d, key=lambda m: d[m]), d) for n, d in added.items() if d}
 
 
 def _hypothesis(diagnosis: Diagnosis, fit: SetFit, probability: float = 1.0) -> HypothesisRecord:
