@@ -269,10 +269,11 @@ def look_alikes_in_words(row: NamedEffect) -> str:
         return ""
     sets = [" with ".join(map(effect_in_words, c.effects)) for c in row.look_alikes[:MOST_LISTED]]
     words = f"These trials cannot tell {effect_in_words(row.candidate)} from {joined(sets, 'or')}"
-    if row.separated_by is None:
+    best = row.separated_by
+    if best is None or not best.separation:
         return f"{words}."
-    motion, separation = row.separated_by.motion, row.separated_by.separation
-    return f"{words}; {motion} would add most to separate them (d′ {separation[motion]:.1f})."
+    most = max(best.separation.values())
+    return f"{words}; {best.motion} would add most to separate them (d′ {most:.1f})."
 
 
 def standing_out(document: GapDocument) -> list[RefusedEffects]:
