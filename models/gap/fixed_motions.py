@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_py.core.motion import Kind, Motion
 from firmware_py.core.signals import PERIOD_S
-from models.plant.identification.noise_floor import Array
+from models.plant.step_model import Array
 from models.trials.trial import Trial, TrialMeta
 
 REST_SAMPLES: Final = 60

@@ -32,17 +32,17 @@ from models.gap.estimation.nuisance_fit import nuisance_fit_of
 from models.gap.experiment.rival import Rival, fitted_values_of
 from models.gap.fixed_motions import REST_SAMPLES, planned_trial
 from models.gap.residuals.fit_parameters import (
-    FitParameter,
     candidate_effects,
     effect_candidates,
     nuisance_and_variation,
-    prior_precision,
 )
 from models.gap.residuals.residuals import Residuals
 from models.gap.settings import GapSettings
 from models.plant.identification.fit import measured_signals
-from models.plant.identification.noise_floor import Array, group_frequencies_hz, smoothed
+from models.plant.identification.residual_spectra import FitParameter
+from models.plant.identification.trial_spectra import group_frequencies_hz, smoothed
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 from models.trials.trial import Trial
 
 REFIT_STEPS: Final = 4
@@ -112,7 +112,9 @@ class SeparationModel:
         nuisance = nuisance_and_variation(plant, trials[:1], same_link=same_link)
         self.planned = nuisance + effects
         self._shared = np.array([q.trial is None for q in self.planned])
-        self._prior = np.where(self._shared, 0.0, prior_precision(self.planned))
+        self._prior = np.array(
+            [0.0 if q.trial is None else q.standard_deviation**-2 for q in self.planned]
+        )
         self._free = [
             np.array([not q.effect or q.effect in r.effects for q in self.planned]) for r in rivals
         ]

@@ -35,9 +35,9 @@ from models.gap.residuals.fit_parameters import plant_with_searched_effects, wri
 from models.gap.residuals.localisation import GapRegion, location_sentence
 from models.gap.search.effect_search import SetFit
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
-from models.plant.identification.noise_floor import Array
 from models.plant.parameter import Parameter
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 from models.shared.catalogue import effect_and_joint
 from models.trials.trial import Trial
 
