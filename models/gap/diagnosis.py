@@ -31,7 +31,7 @@ from models.gap.residuals.time_blocks import in_time_blocks
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.doubts import refuse_other_links
-from models.plant.identification.noise_floor import aligned
+from models.plant.identification.trial_spectra import aligned
 from models.plant.plant import Plant
 from models.trials.checks.trials import refuse_unusable
 from models.trials.trial import Trial, TrialSet

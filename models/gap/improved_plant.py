@@ -18,8 +18,8 @@ from models.gap.residuals.fit_parameters import (
 )
 from models.gap.search.effect_search import EffectSearch, SetFit
 from models.plant.document import Provenance
-from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 from models.shared.catalogue import effect_and_joint
 from models.trials.trial import TrialSet
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.plant.identification.noise_floor import LEAST_NOISE_FRACTION, group_frequencies_hz
+from models.plant.identification.noise_floor import LEAST_NOISE_FRACTION
+from models.plant.identification.trial_spectra import group_frequencies_hz
 from models.shared.kinematics import Array
 from models.trials.trial import TrialSet
 

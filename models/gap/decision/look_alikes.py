@@ -20,7 +20,7 @@ import numpy as np
 from models.gap.decision.certainty import Answers
 from models.gap.decision.naming import Naming
 from models.gap.search.effect_search import SetFit
-from models.plant.identification.noise_floor import Array
+from models.plant.step_model import Array
 
 NOISE_TEMPERATURE: Final = 1.5
 """T: a difference of d′ = 3, below which two effects cannot be told apart (docs/sources.md, "Naming

@@ -21,7 +21,7 @@ from models.gap.estimation.gauss_newton import NUISANCE_FIT_STEPS, RELATIVE_FALL
 from models.gap.search.bounds import is_at_bound
 from models.gap.search.effect_search import EffectSearch, SetFit
 from models.gap.search.held_out import HeldOut, HeldOutErrors, is_written
-from models.plant.identification.noise_floor import Array
+from models.plant.step_model import Array
 
 
 @dataclass(frozen=True)

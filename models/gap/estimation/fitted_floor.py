@@ -19,18 +19,17 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.residuals import Residuals
 from models.plant.identification.noise_floor import (
-    Array,
     PayloadRatios,
-    TrialGroup,
     averaged,
     floor_from_record,
     floor_from_residuals,
-    group_frequencies_hz,
     guessed_floor,
     ratio_frequencies_hz,
     smooth_variance,
 )
+from models.plant.identification.trial_spectra import TrialGroup, group_frequencies_hz
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 
 FLOOR_ROUNDS: Final = 2
 """Times that floor and nuisance are estimated in turn, where the plant file carries no floor
@@ -137,8 +136,7 @@ def floor_of_nuisance_fit(residuals: Residuals) -> NoiseFloor:
     """
     groups, trials = residuals.groups, residuals.trials
     base = np.array([q.kind != "effect" for q in residuals.fit_parameters])
-    units = {v.name: v.unit for v in residuals.model.outputs}
-    floor = NoiseFloor.of(guessed_floor(groups, trials, units), learned=False)
+    floor = NoiseFloor.of(guessed_floor(residuals), learned=False)
     for _ in range(FLOOR_ROUNDS):
         estimator = GaussNewton(residuals, floor)
         point = estimator.fit(estimator.start(), base)

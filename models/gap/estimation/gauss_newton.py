@@ -1,10 +1,10 @@
 """Generalised least squares over the fit parameters, in units of the noise floor.
 
 The cost of values θ is ½ |W (r(θ) − m)|² + ½ θ' P θ: W whitens by the floor, m is the known mean
-of the plant's own error, P is the prior of nuisance and of the
-variation between trials (`models.gap.residuals.fit_parameters`). Steps stay within the bounds
-and are taken only where the cost falls. Exact derivatives cost twenty simulations, so between them
-they are updated by secants (Broyden 1965).
+of the plant's own error, P is the prior of nuisance and of the variation between trials
+(`models.plant.identification.trial_variation`). Steps stay within the bounds and are taken only
+where the cost falls. Exact derivatives cost twenty simulations, so between them they are updated by
+secants (Broyden 1965).
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from firmware_py.core.errors import InputError
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.transfer import Knowledge
-from models.gap.residuals.fit_parameters import prior_matrix
 from models.gap.residuals.residuals import Residuals
-from models.plant.identification.noise_floor import Array
+from models.plant.identification.trial_variation import prior_rows
+from models.plant.step_model import Array
 
 FIT_STEPS: Final = 12
 """Most steps of a fit while the noise floor is measured [assumed]."""
@@ -124,7 +123,8 @@ class GaussNewton:
         trials, groups = residuals.trials, residuals.groups
         self.whiteners = [floor.whitener(g, trials) for g in groups]
         self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
-        self.prior = prior_matrix(residuals.fit_parameters)
+        prior = prior_rows(residuals.fit_parameters)
+        self.prior = prior.T @ prior
         self.low = np.array([q.low for q in residuals.fit_parameters])
         self.high = np.array([q.high for q in residuals.fit_parameters])
 
@@ -133,17 +133,7 @@ class GaussNewton:
         point = self.at(np.zeros(len(self.residuals.fit_parameters)))
         if np.isfinite(point.cost):
             return point
-        wild = [
-            str(self.residuals.trials[k].path)
-            for g, rows in zip(self.residuals.groups, point.rows, strict=True)
-            for k, trial_rows in zip(g.trials, rows, strict=True)
-            if not float(np.sum(trial_rows**2)) < np.inf
-        ]
-        raise InputError(
-            f"plant {self.residuals.plant.name!r}",
-            "does not stay finite on " + (", ".join(wild) or "these trials"),
-            "identify it on trials of this robot, or check the conditions of the trials",
-        )
+        raise self.residuals.instability(point.rows)
 
     def knowledge(self) -> dict[str, Knowledge]:
         """What is known of the plant's mean error, by key of the group."""

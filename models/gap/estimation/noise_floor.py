@@ -41,14 +41,9 @@ from models.gap.estimation.transfer import (
     transferred,
     unknown_fraction,
 )
-from models.plant.identification.noise_floor import (
-    PAYLOAD_REACH_KG,
-    Array,
-    MeasuredFloor,
-    TrialGroup,
-    group_frequencies_hz,
-    smoothed,
-)
+from models.plant.identification.noise_floor import PAYLOAD_REACH_KG, MeasuredFloor
+from models.plant.identification.trial_spectra import TrialGroup, group_frequencies_hz, smoothed
+from models.plant.step_model import Array
 from models.trials.trial import Trial
 
 MODEL_ERROR_LEFT: Final = 0.35

@@ -23,11 +23,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from firmware_py.core.signals import PERIOD_S
-from models.plant.identification.noise_floor import (
-    Array,
-    cosine_transform,
-    inverse_cosine_transform,
-)
+from models.plant.identification.trial_spectra import cosine_transform, inverse_cosine_transform
+from models.plant.step_model import Array
 from models.trials.trial import Trial
 
 Knowledge = Literal["measured", "transferred", "unknown"]
@@ -39,7 +36,7 @@ STUDY_REST_S: Final = 60 * PERIOD_S
 (`models.rig.protocol`)."""
 
 _LENGTH: Final = re.compile(r" (?P<rows>\d+)x(?P<step>[\d.e+-]+)s(?=( \S+=\S+)*$)")
-"""Length and step in `models.plant.identification.noise_floor.trial_group_key`."""
+"""Length and step in `models.plant.identification.trial_spectra.trial_group_key`."""
 
 GOAL_TOLERANCE: Final = 0.02
 """Fraction of the largest goal by which the goals of two periods may differ [assumed]."""

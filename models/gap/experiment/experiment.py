@@ -24,8 +24,8 @@ from models.gap.experiment.rival import HypothesisRecord
 from models.gap.experiment.separation import REST_SAMPLES, SeparationModel
 from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 from models.trials.trial import Trial, TrialMeta, TrialSet
 
 SEPARATED: Final = 3.0

@@ -10,9 +10,10 @@ import numpy as np
 
 from firmware_py.core.errors import InputError
 from models.gap.decision.look_alikes import HELD_PROBABILITY
-from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
-from models.plant.identification.noise_floor import Array
+from models.gap.residuals.fit_parameters import plant_with_every_effect
+from models.plant.identification.residual_spectra import FitParameter
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 
 MOST_RIVALS: Final = 6
 """Most hypotheses that motions are ranked for, the most probable first; 15 pairs [assumed]."""

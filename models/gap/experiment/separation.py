@@ -31,17 +31,14 @@ from models.gap.estimation.gauss_newton import (
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.nuisance_fit import nuisance_fit_of
 from models.gap.experiment.rival import HypothesisRecord, fitted_values_of
-from models.gap.residuals.fit_parameters import (
-    FitParameter,
-    all_fit_parameters,
-    candidate_effects,
-    prior_precision,
-)
+from models.gap.residuals.fit_parameters import all_fit_parameters, candidate_effects
 from models.gap.residuals.residuals import Residuals
 from models.gap.settings import GapSettings
 from models.plant.identification.fit import measured_signals
-from models.plant.identification.noise_floor import Array, group_frequencies_hz, smoothed
+from models.plant.identification.residual_spectra import FitParameter
+from models.plant.identification.trial_spectra import group_frequencies_hz, smoothed
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 from models.trials.trial import Trial
 
 REST_SAMPLES: Final = 60
@@ -121,7 +118,9 @@ class SeparationModel:
         self.planned = [every[k] for k in of_one]
         self.values = [start.values[of_one] for start in starts]
         self._named, self._shared = self._named[of_one], ~varies[of_one]
-        self._prior = np.where(self._shared, 0.0, prior_precision(self.planned))
+        self._prior = np.array(
+            [0.0 if q.trial is None else q.standard_deviation**-2 for q in self.planned]
+        )
         self._free = [
             np.array([not q.effect or q.effect in r.effects for q in self.planned]) for r in rivals
         ]

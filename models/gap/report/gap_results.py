@@ -51,9 +51,9 @@ from models.gap.search.held_out import HeldOutErrors
 from models.gap.settings import GapSettings
 from models.plant.document import Provenance
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
-from models.plant.identification.noise_floor import Array
 from models.plant.parameter import Parameter
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 from models.shared.catalogue import effect_and_joint
 from models.trials.trial import Trial, TrialSet
 

@@ -1,23 +1,15 @@
-"""Parameters of the fit: directions in parameters and outputs of the twin that may close a gap.
+"""Fit parameters of a diagnosis: nuisance, variation between trials, and possible effects.
 
-A fit parameter at zero leaves the plant unchanged. There are three kinds: `nuisance` holds for all
-trials and never counts as missing; `trial` varies from trial to trial with a known standard
-deviation, and so belongs to the noise floor; `effect` is searched for. All are linear in the
-plant's parameters, p = p_0 + Σ w θ, so one run with exact sensitivities serves all of them.
-
-By chance nuisance and variation go only so far: each costs ½ (θ_k / s_k)², with its standard
-deviation s_k. A clock error common to all trials is no
-variation between them: the nuisance `synchronisation` models it, up to what counts as synchronised
-(`CLOCK_LIMIT_S`). So the mean over the trials costs as if it were known. Otherwise six
-clocks that are 8 ms late would cost little, and would hide an offset of 18 ms.
+By chance a nuisance goes only so far, see `models.plant.identification.trial_variation`. A clock
+error common to all trials is the nuisance `synchronisation`, up to what counts as synchronised
+(`CLOCK_LIMIT_S`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Final, Literal
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +18,11 @@ from models.plant.components import DRIVES, LOADS
 from models.plant.document import CLOCK_LIMIT_S
 from models.plant.effects import EFFECTS, applicable
 from models.plant.identification.evaluation import TIP
-from models.plant.identification.noise_floor import KNOWN_FRACTION, SHARED, Array, trial_variation
+from models.plant.identification.residual_spectra import FitParameter
+from models.plant.identification.trial_variation import trial_variation
 from models.plant.parameter import Parameter
 from models.plant.plant import Plant, scope_of
+from models.plant.step_model import Array
 from models.shared.catalogue import effect_and_joint
 from models.trials.trial import Trial
 
@@ -60,35 +54,10 @@ FRAME_TURN_PRIOR_RAD: Final = {"joint": 0.0005, "other": 0.005}
 about another one [assumed]: 5 mrad as the shift over a metre; about a joint's axis 0.1 mm over the
 0.2 m of a calibration square, since a larger turn there looks like an encoder's offset."""
 
-Kind = Literal["nuisance", "trial", "effect"]
-
 FRAME_TURNS: Final = {
     "marker_frame_roll_rad": "x", "marker_frame_tilt_rad": "y", "marker_frame_yaw_rad": "z",
 }  # fmt: skip
 """Axis of each turn of the mocap frame. Joint 1 turns about y, joint 2 about −x."""
-
-
-@dataclass(frozen=True)
-class FitParameter:
-    """One direction of the fit."""
-
-    name: str  # Name of the parameter of the plant, or of the variation
-    kind: Kind
-    # Change of each plant parameter per unit
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    # Direct change of each output per unit
-    outputs: Mapping[str, float] = field(default_factory=dict)
-    standard_deviation: float = math.inf  # Of the prior around zero; infinite without a prior
-    low: float = -math.inf
-    high: float = math.inf
-    trial: int | None = None  # Index of the only trial that it acts on
-    effect: str = ""  # Candidate that it belongs to: EFFECT, or EFFECT:JOINT; empty if none
-    fitted_last: bool = False
-
-    @property
-    def is_strength(self) -> bool:
-        """Whether it is a strength of its effect: only these have no prior."""
-        return bool(self.effect) and math.isinf(self.standard_deviation)
 
 
 def plant_with_every_effect(plant: Plant) -> Plant:
@@ -155,7 +124,7 @@ def nuisance_and_variation(
 ) -> list[FitParameter]:
     """Fit parameters without any effect; arguments as in `all_fit_parameters`."""
     nuisance = nuisance_fit_parameters(plant, trials[0].meta.dof, is_known, same_link)
-    return nuisance + trial_fit_parameters(plant, trials)
+    return nuisance + trial_variation(plant_with_every_effect(plant), trials)
 
 
 def nuisance_fit_parameters(
@@ -163,7 +132,7 @@ def nuisance_fit_parameters(
 ) -> list[FitParameter]:
     """Nominal parameters that are refitted; arguments as in `all_fit_parameters`."""
     full = plant_with_every_effect(plant)
-    names = set(_owned(full, dof))
+    names = {v.name for v in full.step_model(dof, "twin").parameters}
     if LOADS[plant.load].kind != "link":
         return [
             FitParameter(q.name, "nuisance", {q.name: 1.0}, {}, _deviation(q, is_known),
@@ -188,19 +157,6 @@ def nuisance_fit_parameters(
         FitParameter("synchronisation", "nuisance", clock, {}, clock_s, -clock_s, clock_s)
     )
     return sorted(result, key=lambda q: q.name)
-
-
-def trial_fit_parameters(plant: Plant, trials: Sequence[Trial]) -> list[FitParameter]:
-    """Variation between trials: pressure, friction, payload, clock and frame of each trial.
-
-    For loads other than the link nothing varies.
-    """
-    full = plant_with_every_effect(plant)
-    return [
-        FitParameter(v.name, "trial", v.parameters, v.outputs, v.standard_deviation, trial=k)
-        for k, trial in enumerate(trials)
-        for v in trial_variation(full, _owned(full, trial.meta.dof), trial)
-    ]
 
 
 def effect_candidates(plant: Plant, effect: str, dof: int) -> dict[str, list[FitParameter]]:
@@ -259,11 +215,6 @@ def effect_fit_parameters(
     return sorted(result, key=lambda q: q.name not in strengths)
 
 
-def moved_parameters(fit_parameters: Iterable[FitParameter]) -> list[str]:
-    """Every parameter of the plant that some fit parameter moves, once."""
-    return list(dict.fromkeys(n for q in fit_parameters for n in q.parameters))
-
-
 def _deviation(q: Parameter, is_known: bool) -> float:
     """Standard deviation of a nuisance parameter of another load than the link."""
     if is_known:
@@ -274,29 +225,6 @@ def _deviation(q: Parameter, is_known: bool) -> float:
 def _relative(q: Parameter, fraction: float) -> FitParameter:
     low, high = q.low / q.value - 1, q.high / q.value - 1
     return FitParameter(q.name, "nuisance", {q.name: q.value}, {}, fraction, low, high)
-
-
-def _owned(full: Plant, dof: int) -> list[str]:
-    """Parameters of the plant that a twin with `dof` joints has."""
-    return [v.name for v in full.step_model(dof, "twin").parameters]
-
-
-def prior_precision(fit_parameters: Sequence[FitParameter]) -> Array:
-    """Precision of each fit parameter's own prior, shape (p,); 0 without a prior."""
-    deviation = np.array([q.standard_deviation for q in fit_parameters])
-    return np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
-
-
-def prior_matrix(fit_parameters: Sequence[FitParameter]) -> Array:
-    """Precision matrix of all fit parameters together, shape (p, p)."""
-    matrix = np.diag(prior_precision(fit_parameters))
-    is_shared = np.array([q.kind == "trial" and q.name == SHARED for q in fit_parameters])
-    if is_shared.any():
-        deviation = np.array([q.standard_deviation for q in fit_parameters])[is_shared]
-        by_chance = np.sqrt(np.sum(deviation**2)) / len(deviation)
-        mean = np.where(is_shared, 1 / is_shared.sum(), 0.0) / (KNOWN_FRACTION * by_chance)
-        matrix += np.outer(mean, mean)
-    return matrix
 
 
 def written_values(

@@ -22,12 +22,12 @@ from scipy.stats import false_discovery_control
 
 from firmware_py.core.signals import unit_of, without_unit
 from firmware_py.core.units import DURATION, TIME, symbol_of
-from models.plant.identification.noise_floor import (
-    Array,
+from models.plant.identification.trial_spectra import (
     TrialGroup,
     coefficient_frequencies_hz,
     inverse_cosine_transform,
 )
+from models.plant.step_model import Array
 from models.trials.trial import Trial
 
 BANDS_HZ: Final = (0.0, 0.3, 0.8, 2.0, 4.0, 8.0)
@@ -57,7 +57,7 @@ _KEY: Final = re.compile(
     r"(?P<dof>\d+)dof (?P<motion>.+?) (?P<amplitude>[-+.\de]+)rad (?P<period>[-+.\de]+)s "
     r"(?P<phase>[-+.\de]+)rad( (?P<rows>\d+)x(?P<step>[-+.\de]+)s)?(?P<conditions>( \S+=\S+)*)"
 )
-"""Form of `models.plant.identification.noise_floor.trial_group_key`; length and step may lack."""
+"""Form of `models.plant.identification.trial_spectra.trial_group_key`; length and step may lack."""
 _COUNTS: Final = {1: "one joint", 2: "two joints"}
 
 

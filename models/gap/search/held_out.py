@@ -24,8 +24,9 @@ from models.gap.estimation.gauss_newton import CONVERGED_FALL, FitPoint, GaussNe
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import BLOCKS, is_time_block
-from models.plant.identification.noise_floor import Array, TrialGroup
+from models.plant.identification.trial_spectra import TrialGroup
 from models.plant.plant import Plant
+from models.plant.step_model import Array
 from models.trials.trial import Trial
 
 

@@ -26,7 +26,8 @@ from models.gap.estimation.gauss_newton import (
     NormalEquation,
     stacked,
 )
-from models.plant.identification.noise_floor import Array, TrialGroup
+from models.plant.identification.trial_spectra import TrialGroup
+from models.plant.step_model import Array
 
 BANDS: Final = 3
 """Frequency bands, of equal width on a logarithmic scale [assumed]."""

@@ -25,7 +25,7 @@ from models.gap.decision.certainty import Certainty, Evidence, Knowledge
 from models.gap.decision.naming import NAMED_PROBABILITY
 from models.gap.estimation.nuisance_fit import LEAST_GAP
 from models.gap.training.case_runs import Addition, DataSetRecord, Strength, effects_of
-from models.plant.identification.noise_floor import Array
+from models.plant.step_model import Array
 
 ANSWERS: Final = ("catalogue", "nothing", "outside")  # In the order of scikit-learn's classes
 EXCEEDED: Final = 0.1

@@ -38,7 +38,8 @@ from models.plant.identification.fit import (
     fit_objective,
     free_parameters,
 )
-from models.plant.identification.noise_floor import check_duration, with_noise_floor
+from models.plant.identification.noise_floor import with_noise_floor
+from models.plant.identification.trial_spectra import check_duration
 from models.plant.parameter import Parameter, bound_reached, is_weakly_determined
 from models.plant.plant import Plant
 from models.plant.simulation.runner import Array

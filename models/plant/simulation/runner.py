@@ -186,10 +186,12 @@ def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> 
     return compiled.simulate(u, trial.step_s, p, compiled.start(first, p))
 
 
-def differentiate_trial(compiled: CompiledModel, trial: Trial, p: Array) -> tuple[Array, Array]:
-    """Outputs as from `run_trial`, and their derivatives (n, len(outputs), len(wrt))."""
+def differentiate_trial(
+    compiled: CompiledModel, trial: Trial, p: Array, wanted: NDArray[np.bool_] | None = None
+) -> tuple[Array, Array]:
+    """Outputs as from `run_trial`, and their derivatives; see `CompiledModel.derivatives`."""
     first, u = trial_inputs(compiled.model, trial)
-    return compiled.derivatives(u, trial.step_s, p, first)
+    return compiled.derivatives(u, trial.step_s, p, first, wanted)
 
 
 def start_of_motion(trial: Trial, column: str) -> tuple[float, float]:

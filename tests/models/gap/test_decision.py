@@ -15,9 +15,9 @@ from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.improved_plant import _standard_errors
 from models.gap.outliers import outlier_trials
 from models.gap.report.gap_results import gap_document
-from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.search.effect_search import SetFit
-from models.plant.identification.noise_floor import TrialGroup
+from models.plant.identification.residual_spectra import FitParameter
+from models.plant.identification.trial_spectra import TrialGroup
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names

@@ -20,14 +20,13 @@ from models.gap.estimation.transfer import transfer_weights, transferred, unknow
 from models.gap.residuals.fit_parameters import all_fit_parameters
 from models.gap.residuals.residuals import Residuals
 from models.plant.document import FloorRecord
-from models.plant.identification.noise_floor import (
+from models.plant.identification.noise_floor import floor_from_residuals, with_noise_floor
+from models.plant.identification.trial_spectra import (
     TrialGroup,
     coefficient_count,
     cosine_transform,
-    floor_from_residuals,
     inverse_cosine_transform,
     trial_group_key,
-    with_noise_floor,
 )
 from models.plant.plant import read_plant
 

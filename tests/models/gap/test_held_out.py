@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.search.held_out import (
     HeldOutErrors,
     SquaredError,
@@ -15,7 +14,8 @@ from models.gap.search.held_out import (
     is_written,
     lowers_held_out_error,
 )
-from models.plant.identification.noise_floor import TrialGroup
+from models.plant.identification.residual_spectra import FitParameter
+from models.plant.identification.trial_spectra import TrialGroup
 from models.plant.plant import read_plant
 
 ROWS = 100

@@ -13,13 +13,10 @@ from models.gap.decision.certainty import read_certainty
 from models.gap.decision.naming import name_with_floor
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.nuisance_fit import NuisanceFit
-from models.gap.residuals.fit_parameters import (
-    NUISANCE_PRIOR_FRACTION,
-    FitParameter,
-    effect_candidates,
-)
+from models.gap.residuals.fit_parameters import NUISANCE_PRIOR_FRACTION, effect_candidates
 from models.gap.search.effect_search import EffectSearch
-from models.plant.identification.noise_floor import TrialGroup
+from models.plant.identification.residual_spectra import FitParameter
+from models.plant.identification.trial_spectra import TrialGroup
 from models.plant.plant import read_plant
 
 PAYLOADS_KG, COUNT = (0.0, 0.0, 1.0, 1.0), 64

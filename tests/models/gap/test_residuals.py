@@ -19,7 +19,7 @@ from models.gap.residuals.localisation import GapRegion, locate_gap, location_se
 from models.gap.residuals.time_blocks import BLOCKS, in_time_blocks, is_time_block
 from models.gap.search.held_out import held_out_folds
 from models.plant import examples
-from models.plant.identification.noise_floor import (
+from models.plant.identification.trial_spectra import (
     TrialGroup,
     coefficient_count,
     cosine_transform,

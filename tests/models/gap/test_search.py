@@ -8,10 +8,7 @@ import pytest
 from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.nuisance_fit import NuisanceFit
-from models.gap.residuals.fit_parameters import (
-    all_fit_parameters,
-    effect_candidates,
-)
+from models.gap.residuals.fit_parameters import all_fit_parameters, effect_candidates
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.far_strengths import strengths_far_from_zero

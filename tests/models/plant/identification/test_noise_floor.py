@@ -5,7 +5,8 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
-from models.plant.identification.noise_floor import aligned, check_duration, payload_ratios
+from models.plant.identification.noise_floor import payload_ratios
+from models.plant.identification.trial_spectra import aligned, check_duration
 from models.trials.trial import TrialSet
 
 MOTION = Motion("sinusoid", period_s=2.0)
