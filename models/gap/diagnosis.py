@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from threadpoolctl import threadpool_limits
 
 from firmware_py.core.errors import InputError
-from models.gap.decision.certainty import read_certainty
+from models.gap.decision.certainty import knowledge_of, read_certainty
 from models.gap.decision.look_alikes import hypotheses_of, look_alikes_of
 from models.gap.decision.naming import Naming, name_with_floor, name_without_floor
 from models.gap.decision.written_fit import PlantWriter, WrittenFit
@@ -209,14 +209,14 @@ def _written(
 
 
 def _verdict(naming: Naming) -> GapVerdict:
-    left = naming.search.estimator.mean_square(naming.fit.point)
-    is_open = left > read_certainty().residual_of_nothing
     if naming.answers is None:
-        return "not in the catalogue" if is_open and not naming.names else "no floor"
-    if naming.names:
-        return "reduced" if is_open else "closed"
-    outside = naming.answers.outside > naming.answers.nothing
-    return "not in the catalogue" if outside else "no gap"
+        return "no floor"
+    if not naming.names:
+        is_outside = naming.answers.outside > naming.answers.nothing
+        return "not in the catalogue" if is_outside else "no gap"
+    estimator, point = naming.search.estimator, naming.fit.point
+    of_nothing = read_certainty().residual_of_nothing[knowledge_of(estimator, point)]
+    return "reduced" if estimator.mean_square(point) > of_nothing else "closed"
 
 
 def _located(nuisance: NuisanceFit) -> list[GapRegion]:

@@ -8,7 +8,7 @@ missing, and that something outside of the catalogue is:
   since;
 - difference: by how much the strength of an effect differs between parts of the trials
   (`models.gap.search.strength_consistency`);
-- residual: what is unexplained, in noise floors.
+- residual: what is unexplained, over what is left on such trials where nothing is missing.
 
 Where nothing is missing, the plant's own error lets some effect reach a large d′ as well. But as a
 stand-in it needs another strength in each part of the trials. What stands in for something outside
@@ -39,8 +39,6 @@ DECIDED: Final = 0.9
 """Probability above which an effect counts as decided; below 1 − this, as excluded."""
 LEAST_SEPARATION: Final = 1.0
 """d′ below which a smaller one proves no less: its standard deviation by noise alone."""
-LEAST_RESIDUAL: Final = 1.0
-"""Mean squared residual below which a smaller one proves no less: that of noise."""
 LINK_CHANGED: Final = 2.0
 """Root mean square change of the link's parameters, in standard deviations of their priors, from
 which it counts as another link. Of 20 data sets for tuning without an effect the same link stayed
@@ -54,11 +52,14 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     difference: float
     residual: float  # Mean squared, in noise floors that allow for the equation's error
 
-    @property
-    def terms(self) -> list[float]:
-        """Terms of the regression."""
-        separation = max(self.separation, LEAST_SEPARATION)
-        residual = max(self.residual, LEAST_RESIDUAL)
+    def terms(self, scale: float, residual_of_nothing: float) -> list[float]:
+        """Terms of the regression.
+
+        `scale`: factor that d′ is divided by. `residual_of_nothing`: residual below which a smaller
+        one proves no less.
+        """
+        separation = max(self.separation / scale, LEAST_SEPARATION)
+        residual = max(self.residual / residual_of_nothing, 1.0)
         return [1.0, float(np.log(separation)), self.difference, float(np.log(residual))]
 
 
@@ -78,31 +79,30 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     # d′ that is reached where nothing is missing, and the mean squared residual that is left there:
     # 90 % of data sets have less
     separation_of_nothing: dict[Knowledge, float]
-    residual_of_nothing: float
+    residual_of_nothing: dict[Knowledge, float]
     # Factor on d′ on trials of which less is known of the plant's own error
     separation_scale: dict[Knowledge, float]
     # The same for the d′ that an effect adds beside another one, where the error of the first one's
     # equation comes to that of the plant
     further_scale: dict[Knowledge, float]
-    answers: dict[str, list[float]]  # Coefficients of `Evidence.terms` for each answer
+    coefficients: dict[str, list[float]]  # Of `Evidence.terms`, for each answer
     # Root mean square error of a fitted strength beyond chance, as a fraction of it
     equation_error: dict[str, float]
 
-    def scale_for(self, estimator: GaussNewton, point: FitPoint, is_further: bool = False) -> float:
-        """Factor that d′ is divided by on these trials.
+    def answers_for(
+        self, evidence: Evidence, knowledge: Knowledge, is_further: bool = False
+    ) -> Answers:
+        """Probabilities of the answers.
 
-        `is_further`: whether it is the d′ of what is missing beside another effect.
+        `is_further`: whether the evidence is that of what is missing beside another effect.
         """
         scale = self.further_scale if is_further else self.separation_scale
-        return scale[knowledge_of(estimator, point)]
+        return self.answers_at(evidence, knowledge, scale[knowledge])
 
-    def least_separation(self, estimator: GaussNewton, point: FitPoint) -> float:
-        """d′ that is reached where nothing is missing, on these trials."""
-        return self.separation_of_nothing[knowledge_of(estimator, point)]
-
-    def answers_for(self, evidence: Evidence) -> Answers:
-        """Probabilities of the answers."""
-        score = {name: float(np.dot(row, evidence.terms)) for name, row in self.answers.items()}
+    def answers_at(self, evidence: Evidence, knowledge: Knowledge, scale: float) -> Answers:
+        """Probabilities of the answers with another factor on d′."""
+        terms = evidence.terms(scale, self.residual_of_nothing[knowledge])
+        score = {name: float(np.dot(row, terms)) for name, row in self.coefficients.items()}
         weight = {name: np.exp(s - max(score.values())) for name, s in score.items()}
         total = sum(weight.values())
         return Answers(**{name: float(w / total) for name, w in weight.items()})

@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from models.gap.decision.certainty import Answers, Certainty, Evidence
+from models.gap.decision.certainty import Answers, Certainty, Evidence, Knowledge, knowledge_of
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.nuisance_fit import LEAST_GAP, NuisanceFit
 from models.gap.search.effect_search import EffectSearch, SetFit
@@ -79,16 +79,16 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     """
     rounds = [search.beside(search.nothing)]
 
-    def least(fit: SetFit) -> float:
-        return certainty.least_separation(search.estimator, fit.point)
+    def knowledge(fit: SetFit) -> Knowledge:
+        return knowledge_of(search.estimator, fit.point)
 
-    def evidence(fit: SetFit, smaller: SetFit) -> Evidence:
-        is_further = bool(smaller.candidates)
-        scale = certainty.scale_for(search.estimator, fit.point, is_further)
-        return evidence_of(search, fit, scale, smaller, equation_error)
+    def least(fit: SetFit) -> float:
+        return certainty.separation_of_nothing[knowledge(fit)]
 
     def is_probable(fit: SetFit, smaller: SetFit) -> bool:
-        return certainty.answers_for(evidence(fit, smaller)).catalogue >= NAMED_PROBABILITY
+        evidence = evidence_of(search, fit, smaller, equation_error)
+        answers = certainty.answers_for(evidence, knowledge(fit), bool(smaller.candidates))
+        return answers.catalogue >= NAMED_PROBABILITY
 
     def is_supported(fit: SetFit, smaller: SetFit) -> bool:
         if not is_probable(fit, search.nothing):
@@ -115,8 +115,8 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
     supported = [fit for smaller, fit in steps if is_supported(fit, smaller)]
     best = (supported or grown)[-1]
     named = best if supported else search.nothing
-    of_best = evidence(best, search.nothing)
-    answers = certainty.answers_for(of_best)
+    of_best = evidence_of(search, best)
+    answers = certainty.answers_for(of_best, knowledge(best))
     explored = tuple(map(tuple, rounds))
     return Naming(named, best, explored, search, of_best, answers, tuple(grown))
 
@@ -142,19 +142,17 @@ def name_without_floor(search: EffectSearch) -> Naming:
 def evidence_of(
     search: EffectSearch,
     fit: SetFit,
-    scale: float = 1.0,
     smaller: SetFit | None = None,
     equation_error: float = 0.0,
 ) -> Evidence:
     """Numbers that a probability follows from, of a set or of what it adds to a smaller one.
 
-    `scale`: factor that d′ is divided by. `equation_error`: fraction of the d′ of the smaller set
-    that its equations may miss.
+    `equation_error`: fraction of the d′ of the smaller set that its equations may miss.
     """
     smaller = smaller or search.nothing
     added = 2 * (fit.gain - smaller.gain) - (equation_error * smaller.separation) ** 2
     return Evidence(
-        separation=math.sqrt(max(added, 0.0)) / scale,
+        separation=math.sqrt(max(added, 0.0)),
         difference=_difference(search, fit),
         residual=search.estimator.mean_square(fit.point),
     )

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from firmware_py.core.errors import InputError
-from models.gap.decision.certainty import Answers, Evidence, read_certainty
+from models.gap.decision.certainty import Answers, Evidence, knowledge_of, read_certainty
 from models.gap.decision.look_alikes import Hypothesis, effect_probabilities
 from models.gap.decision.naming import LEAST_WITHOUT_FLOOR, Naming
 from models.gap.decision.written_fit import WrittenFit
@@ -160,7 +160,8 @@ class Diagnosis:
         """d′ that is reached where nothing is missing on such trials."""
         if not self.naming.is_learned:
             return LEAST_WITHOUT_FLOOR
-        return read_certainty().least_separation(self.nuisance.measured, self.naming.best.point)
+        knowledge = knowledge_of(self.nuisance.measured, self.naming.best.point)
+        return read_certainty().separation_of_nothing[knowledge]
 
     @property
     def unexplained_fraction(self) -> float:

@@ -60,7 +60,7 @@ class Addition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     candidates: tuple[str, ...]
     knowledge: Knowledge
-    evidence: Evidence  # With d′ as it is
+    evidence: Evidence
     added: Evidence  # Of what it adds to the smaller set
 
 
@@ -75,7 +75,7 @@ class DataSetRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     look_alikes: dict[str, tuple[tuple[str, ...], ...]] = {}
     best: tuple[str, ...] = ()  # Candidate with the largest d′ alone
     knowledge: Knowledge = "identified"
-    evidence: Evidence = Evidence(0.0, 0.0, 1.0)  # Of it, with d′ as it is
+    evidence: Evidence = Evidence(0.0, 0.0, 1.0)  # Of it
     additions: tuple[Addition, ...] = ()
     answers: Answers | None = None
     strengths: tuple[Strength, ...] = ()
@@ -241,7 +241,7 @@ def _additions(diagnosis: Diagnosis) -> Iterable[Addition]:
             fit.candidates,
             knowledge_of(search.estimator, fit.point),
             evidence_of(search, fit),
-            evidence_of(search, fit, 1.0, smaller, error),
+            evidence_of(search, fit, smaller, error),
         )
 
 

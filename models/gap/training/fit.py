@@ -73,12 +73,20 @@ def fitted_certainty(
     factors = {key: max(1.0, value / least) for key, value in reached.items()}
     scale = {key: round(factors.get(key, max(factors.values())), 1) for key in KNOWLEDGE}
     study = [r for r in possible if r.knowledge in STUDY_TRIALS]
-    noise = limit([r.evidence.residual for r in study if r.case.kind == "null"])
     known = [
         (r, answer) for r in study
         if (answer := true_answer(r, r.evidence.separation > least * scale[r.knowledge]))
     ]  # fmt: skip
-    x = np.array([divided(r.evidence, scale[r.knowledge]).terms[1:] for r, _ in known])
+    left = {key: limit([r.evidence.residual for r in of_kind]) for key, of_kind in nulls.items()}
+    residual_of_nothing = {
+        key: round(max(1.0, left.get(key, max(left.values()))), 3) for key in KNOWLEDGE
+    }
+    x = np.array(
+        [
+            r.evidence.terms(scale[r.knowledge], residual_of_nothing[r.knowledge])[1:]
+            for r, _ in known
+        ]
+    )
     y = np.array([answer for _, answer in known])
     rigs = [r.case.rig for r, _ in known]
     if lacking := set(ANSWERS) - set(y):
@@ -95,10 +103,10 @@ def fitted_certainty(
         separation_of_nothing={
             key: round(max(least, reached.get(key, max(reached.values()))), 1) for key in KNOWLEDGE
         },
-        residual_of_nothing=round(noise, 3),
+        residual_of_nothing=residual_of_nothing,
         separation_scale=dict(scale),
         further_scale=dict(scale),
-        answers=_coefficients(_regression(best).fit(x, y)),
+        coefficients=_coefficients(_regression(best).fit(x, y)),
         equation_error=_rounded(errors),
     )
     for key in KNOWLEDGE:
@@ -106,11 +114,11 @@ def fitted_certainty(
             continue
         if key in STUDY_TRIALS:
             scale[key] = fewest_wrong(
-                partial(is_probable, certainty), scale[key],
+                partial(is_probable, certainty, key), scale[key],
                 [(r.evidence, answer == "catalogue") for r, answer in known if r.knowledge == key],
             )  # fmt: skip
         else:
-            scale[key] = _factor_without_names(certainty, scale[key], nulls.get(key, ()))
+            scale[key] = _factor_without_names(certainty, key, scale[key], nulls.get(key, ()))
     certainty = msgspec.structs.replace(certainty, separation_scale=scale)
     larger = list(_additions(certainty, possible))
     further = {
@@ -126,10 +134,10 @@ def fitted_certainty(
     counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
     report = [
         f"{len(known)} data sets of {len(set(rigs))} rigs: {counts}",
-        *(f"{key}: d′ up to {reached[key]:.1f} in {len(of_kind)} data sets without an effect, "
-          f"factor {scale[key]:g}" for key, of_kind in nulls.items()),
+        *(f"{key}: d′ up to {reached[key]:.1f} and {left[key]:.2f} noise floors left in "
+          f"{len(of_kind)} data sets without an effect, factor {scale[key]:g}"
+          for key, of_kind in nulls.items()),
         *(f"{key}: factor {beside[key]:g} on what an effect adds" for key in STUDY_TRIALS),
-        f"residual up to {noise:.2f} noise floors there",
         f"log loss with each rig left out: {loss[best]:.3f} at C = {best:.3g}",
         calibration_table(in_catalogue, y == "catalogue"),
         "error of the equations: " + ", ".join(f"{e} {v:.1%}" for e, v in sorted(errors.items())),
@@ -138,11 +146,11 @@ def fitted_certainty(
 
 
 def _factor_without_names(
-    certainty: Certainty, least: float, nulls: Sequence[DataSetRecord]
+    certainty: Certainty, knowledge: Knowledge, least: float, nulls: Sequence[DataSetRecord]
 ) -> float:
     """Least factor on d′ with which few data sets without an effect are given a name."""
     for factor in np.arange(least, MOST_FACTOR, FACTOR_STEP):
-        named = [is_probable(certainty, r.evidence, factor) for r in nulls]
+        named = [is_probable(certainty, knowledge, r.evidence, factor) for r in nulls]
         if sum(named) <= NAMED_FRACTION * len(nulls):
             return float(factor)
     return MOST_FACTOR
@@ -167,25 +175,21 @@ def _additions(
     """Larger sets that are probable as a whole, and whether all their effects are hidden."""
     for record in records:
         for addition in record.additions:
-            factor = certainty.separation_scale[addition.knowledge]
-            if is_probable(certainty, addition.evidence, factor):
+            answers = certainty.answers_for(addition.evidence, addition.knowledge)
+            if answers.catalogue >= NAMED_PROBABILITY:
                 yield addition, effects_of(addition.candidates) <= set(record.case.hidden)
 
 
 def is_added(certainty: Certainty, addition: Addition, factor: float) -> bool:
     """Whether a larger set that is probable as a whole is named, with this factor."""
     leaves_nothing = addition.evidence.residual < LEAST_GAP
-    return leaves_nothing or is_probable(certainty, addition.added, factor)
+    return leaves_nothing or is_probable(certainty, addition.knowledge, addition.added, factor)
 
 
-def is_probable(certainty: Certainty, evidence: Evidence, factor: float) -> bool:
-    answers = certainty.answers_for(divided(evidence, factor))
-    return answers.catalogue >= NAMED_PROBABILITY
-
-
-def divided(evidence: Evidence, factor: float) -> Evidence:
-    """Evidence with d′ over a factor."""
-    return msgspec.structs.replace(evidence, separation=evidence.separation / factor)
+def is_probable(
+    certainty: Certainty, knowledge: Knowledge, evidence: Evidence, factor: float
+) -> bool:
+    return certainty.answers_at(evidence, knowledge, factor).catalogue >= NAMED_PROBABILITY
 
 
 def limit(values: Sequence[float]) -> float:

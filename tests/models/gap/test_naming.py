@@ -156,7 +156,8 @@ def test_two_joints_on_another_link_need_a_larger_separation(axes, joints, link_
 
 
 def test_no_more_than_three_effects_are_named(axes):
-    naming = named(*trials_with(axes, (60.0, 50.0, 40.0, 20.0, 0.0)), equation_error=0.0)
+    fourth = read_certainty().separation_of_nothing["identified"] + 4.0
+    naming = named(*trials_with(axes, (60.0, 50.0, 40.0, fourth, 0.0)), equation_error=0.0)
     assert naming.names == ("viscous_friction", "coulomb_friction", "current_bias")
 
 
