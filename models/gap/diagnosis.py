@@ -14,19 +14,13 @@ from models.gap.decision.certainty import knowledge_of, read_certainty
 from models.gap.decision.look_alikes import hypotheses_of, look_alikes_of
 from models.gap.decision.naming import Naming, name_with_floor, name_without_floor
 from models.gap.decision.written_fit import PlantWriter, WrittenFit
-from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.nuisance_fit import NuisanceFit, nuisance_fit_of
 from models.gap.improved_plant import improved_plant
 from models.gap.outliers import OutlierTrial, outlier_trials, without_outliers
 from models.gap.report.gap_json import GapVerdict
 from models.gap.report.gap_results import Diagnosis
-from models.gap.residuals.fit_parameters import (
-    all_fit_parameters,
-    candidate_effects,
-    is_known_elsewhere,
-)
+from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.residuals.localisation import GapRegion, locate_gap
-from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import in_time_blocks
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -109,7 +103,7 @@ def diagnose(
         while True:
             recorded = without_outliers(trials, outliers)
             used = in_time_blocks(plant, aligned(recorded))
-            nuisance = _nuisance_fit(plant, used, catalogue, settings)
+            nuisance = nuisance_fit_of(plant, used.trials, catalogue, settings.same_link)
             naming = _naming(nuisance, settings, report)
             more = _disturbed(nuisance, naming) if len(used) == len(recorded) else ()
             if not more:
@@ -157,20 +151,6 @@ def _catalogue(plant: Plant, leave_out: Sequence[str]) -> list[str]:
                 "choose from " + ", ".join(known),
             )  # fmt: skip
     return [e for e in known if e not in leave_out]
-
-
-def _nuisance_fit(
-    plant: Plant,
-    trials: TrialSet,
-    catalogue: Sequence[str],
-    settings: GapSettings,
-) -> NuisanceFit:
-    """What the plant misses although link, set-up and variation are refitted."""
-    parameters = all_fit_parameters(
-        plant, trials.trials, catalogue, is_known_elsewhere(plant, trials), settings.same_link
-    )
-    residuals = Residuals(plant, trials.trials, parameters)
-    return nuisance_fit_of(residuals, noise_floor_for(residuals))
 
 
 def _naming(nuisance: NuisanceFit, settings: GapSettings, report: ReportProgress) -> Naming:

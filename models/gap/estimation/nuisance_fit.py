@@ -7,15 +7,23 @@ which a fraction is the error of the equation that closes it. So floor and fit a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from models.gap.estimation.fitted_floor import with_amplified_scatter, with_repeated_trials
+from models.gap.estimation.fitted_floor import (
+    noise_floor_for,
+    with_amplified_scatter,
+    with_repeated_trials,
+)
 from models.gap.estimation.gauss_newton import RELATIVE_FALL, FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.residuals.fit_parameters import all_fit_parameters, is_known_elsewhere
 from models.gap.residuals.residuals import Residuals
+from models.plant.plant import Plant
+from models.trials.trial import Trial
 
 LEAST_GAP: Final = 1.05
 """Mean squared residual below which nothing is left of a gap [assumed]."""
@@ -48,8 +56,17 @@ class NuisanceFit:
         return min(float(np.sqrt(max(after - 1.0, 0.0) / (before - 1.0))), 1.0)
 
 
-def nuisance_fit_of(residuals: Residuals, floor: NoiseFloor) -> NuisanceFit:
-    """Fit the nuisance of some residuals."""
+def nuisance_fit_of(
+    plant: Plant, trials: Sequence[Trial], catalogue: Sequence[str], same_link: bool
+) -> NuisanceFit:
+    """What a plant misses on some trials although link, set-up and variation are refitted.
+
+    The fit parameters of the catalogue's effects are those of a search that follows.
+    """
+    is_known = is_known_elsewhere(plant, trials)
+    parameters = all_fit_parameters(plant, trials, catalogue, is_known, same_link)
+    residuals = Residuals(plant, trials, parameters)
+    floor = noise_floor_for(residuals)
     estimator = GaussNewton(residuals, floor)
     point, measured = estimator.start(), floor
     for k in range(ROUNDS):

@@ -20,8 +20,10 @@ from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
+from models.gap.estimation.nuisance_fit import nuisance_fit_of
 from models.gap.experiment.rival import HypothesisRecord
 from models.gap.experiment.separation import REST_SAMPLES, SeparationModel
+from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
@@ -99,7 +101,9 @@ def rank_motions(
         (a, b) if len(rivals[a].effects) >= len(rivals[b].effects) else (b, a)
         for a, b in combinations(range(len(rivals)), 2)
     ]
-    model = SeparationModel(plant, trials.trials, rivals, pairs, settings)
+    catalogue = candidate_effects(plant)
+    nuisance = nuisance_fit_of(plant, trials.trials, catalogue, settings.same_link)
+    model = SeparationModel(nuisance, rivals, pairs)
     report("trials at hand judged", len(planned))
     allowed = allowed_motions(model, planned, limits, report)
     if not allowed:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import PERIOD_S
-from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import (
     RIDGE,
     FitPoint,
@@ -29,15 +28,12 @@ from models.gap.estimation.gauss_newton import (
     stacked,
 )
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.nuisance_fit import nuisance_fit_of
+from models.gap.estimation.nuisance_fit import NuisanceFit
 from models.gap.experiment.rival import HypothesisRecord, fitted_values_of
-from models.gap.residuals.fit_parameters import all_fit_parameters, candidate_effects
 from models.gap.residuals.residuals import Residuals
-from models.gap.settings import GapSettings
 from models.plant.identification.fit import measured_signals
 from models.plant.identification.residual_spectra import FitParameter
 from models.plant.identification.trial_spectra import group_frequencies_hz, smoothed
-from models.plant.plant import Plant
 from models.plant.step_model import Array
 from models.trials.trial import Trial
 
@@ -89,22 +85,16 @@ class SeparationModel:
 
     def __init__(
         self,
-        plant: Plant,
-        trials: Sequence[Trial],
+        nuisance: NuisanceFit,
         rivals: Sequence[HypothesisRecord],
         pairs: Sequence[tuple[int, int]],
-        settings: GapSettings,
     ) -> None:
-        self.plant, self.rivals, self.pairs, self.like = plant, rivals, pairs, trials[0]
-        # Those of a diagnosis, whose compiled model is at hand
-        every = all_fit_parameters(
-            plant, trials, candidate_effects(plant), same_link=settings.same_link
-        )
+        self.estimator, self.floor = nuisance.estimator, nuisance.measured.floor
+        residuals = self.estimator.residuals
+        plant, every = residuals.plant, residuals.fit_parameters
+        self.plant, self.rivals, self.pairs, self.like = plant, rivals, pairs, residuals.trials[0]
         _refuse_other_effects(rivals, every)
-        residuals = Residuals(plant, trials, every)
-        fit = nuisance_fit_of(residuals, noise_floor_for(residuals))
-        self.estimator, self.floor = fit.estimator, fit.measured.floor
-        self._own_error = _own_error_fraction(self.floor, trials)
+        self._own_error = _own_error_fraction(self.floor, residuals.trials)
         varies = np.array([q.trial is not None for q in every])
         starts = [self.estimator.at(fitted_values_of(r, plant, every)) for r in rivals]
         self._named = np.array(

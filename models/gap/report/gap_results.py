@@ -325,9 +325,7 @@ def _separating_motions(diagnosis: Diagnosis) -> dict[str, SeparatingMotion]:
         return {}
     rivals = [_hypothesis(diagnosis, f) for f in (diagnosis.naming.fit, *(f for _, f in alike))]
     pairs = [(0, k) for k in range(1, len(rivals))]
-    model = SeparationModel(
-        diagnosis.plant, diagnosis.trials.trials, rivals, pairs, diagnosis.settings
-    )
+    model = SeparationModel(diagnosis.nuisance, rivals, pairs)
     added: dict[str, dict[str, float]] = {name: {} for name, _ in alike}
     for motion, payload_kg, separations in allowed_motions(model, planned, USUAL_LIMITS):
         for (name, _), d in zip(alike, model.added(separations), strict=True):

@@ -13,6 +13,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion, MotionConfig
 from firmware_py.safety.limits import Limits
 from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.nuisance_fit import nuisance_fit_of
 from models.gap.experiment.experiment import (
     SEPARATED,
     default_payloads_kg,
@@ -29,9 +30,8 @@ from models.gap.experiment.rival import (
 )
 from models.gap.experiment.separation import SeparationModel, planned_trial
 from models.gap.report.gap_json import DiagnosisInputs
-from models.gap.residuals.fit_parameters import effect_candidates
+from models.gap.residuals.fit_parameters import candidate_effects, effect_candidates
 from models.gap.residuals.residuals import Residuals
-from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
@@ -143,7 +143,8 @@ def refitted(plant, trials, fit_parameters, floor):
 def test_the_separation_is_what_a_refit_to_all_trials_leaves(
     plant, truth, recorded, kind, payload_kg
 ):
-    model = SeparationModel(plant, recorded.trials, RIVALS, [(0, 1)], DEFAULT_SETTINGS)
+    nuisance = nuisance_fit_of(plant, recorded.trials, candidate_effects(plant), False)
+    model = SeparationModel(nuisance, RIVALS, [(0, 1)])
     meta = recorded[0].meta
     motion = Motion(kind, meta.amplitude_rad, 2 * meta.period_s)
     run = model.planned_run(motion, payload_kg)
