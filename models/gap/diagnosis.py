@@ -173,7 +173,7 @@ def _disturbed(nuisance: NuisanceFit, naming: Naming) -> tuple[OutlierTrial, ...
     outliers = outlier_trials(nuisance.measured, nuisance.point)
     if not outliers or not naming.is_learned:
         return outliers
-    still = {(o.name, o.path) for o in outlier_trials(nuisance.measured, naming.best.point)}
+    still = {(o.name, o.path) for o in outlier_trials(nuisance.measured, naming.grown[-1].point)}
     return tuple(o for o in outliers if (o.name, o.path) in still)
 
 

@@ -44,7 +44,7 @@ class Naming:
     """Named set, and the sets that it was chosen from."""
 
     fit: SetFit  # Named set; the fit of the nuisance where none is named
-    best: SetFit  # Named set, or the one that would have been named
+    best: SetFit  # Named set, or the candidate with the largest d′ where none is named
     rounds: tuple[tuple[SetFit, ...], ...]  # Sets of each round, the largest d′ first
     search: EffectSearch  # Search of the last round, with its estimator
     evidence: Evidence  # Of `best`
@@ -113,8 +113,8 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         grown.append(search.settled(more))
     steps = itertools.pairwise([search.nothing, *grown])
     supported = [fit for smaller, fit in steps if is_supported(fit, smaller)]
-    best = (supported or grown)[-1]
-    named = best if supported else search.nothing
+    named = supported[-1] if supported else search.nothing
+    best = named if supported else grown[0]
     of_best = evidence_of(search, best)
     answers = certainty.answers_for(of_best, knowledge(best))
     explored = tuple(map(tuple, rounds))

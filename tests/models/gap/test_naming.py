@@ -147,6 +147,15 @@ def test_on_another_link_a_further_effect_leaves_nothing_or_adds_more(
     assert naming.names[0] == "coulomb_friction"
 
 
+@pytest.mark.parametrize("further", [20.0, 25.0, 40.0])
+@pytest.mark.parametrize("outside", [0.0, 10.0, 18.0])
+def test_something_is_named_where_the_stated_probability_is_more_than_one_half(
+    axes, further, outside
+):
+    naming = named(*trials_with(axes, (25.0, further, 0.0, 0.0, 0.0), 4.0, outside))
+    assert bool(naming.names) is (naming.answers.catalogue >= 0.5)
+
+
 @pytest.mark.parametrize(
     ("joints", "link_change", "is_named"), [(1, 4.0, True), (2, 1.0, True), (2, 4.0, False)]
 )
