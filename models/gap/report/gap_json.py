@@ -13,6 +13,7 @@ from models.gap.decision.certainty import Answers
 from models.gap.estimation.transfer import Knowledge
 from models.gap.experiment.rival import HypothesisRecord
 from models.gap.outliers import OutlierTrial
+from models.gap.residuals.localisation import GapRegion
 from models.gap.settings import GapSettings
 
 GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
@@ -40,23 +41,7 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     amplification: dict[str, float] = {}
 
 
-class MappedRegion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Region of a signal by one factor: trial, payload, phase, direction, angle, stroke or band.
-
-    `size` is a root mean square and `mean` a signed mean, in noise floors; `p` is the fraction of
-    draws of noise alone that are as large.
-    """
-
-    signal: str
-    factor: str
-    level: str
-    size: float
-    mean: float
-    p: float
-    significant: bool
-
-
-def largest_gaps(regions: Sequence[MappedRegion]) -> dict[str, float]:
+def largest_gaps(regions: Sequence[GapRegion]) -> dict[str, float]:
     """Largest gap of each signal over a whole trial, in noise floors, the largest first.
 
     Signals with a significant gap, or all where none has one.
@@ -265,8 +250,8 @@ class GapDocument(Document, frozen=True, kw_only=True):
     hypotheses: tuple[HypothesisRecord, ...] = ()
     written: WrittenPlant
     sentence: str
-    located: tuple[MappedRegion, ...]
-    map: tuple[MappedRegion, ...]
+    located: tuple[GapRegion, ...]
+    map: tuple[GapRegion, ...]
     noise_floor: NoiseFloorSummary
     before: PlantErrors
     after: PlantErrors

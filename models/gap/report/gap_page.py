@@ -25,7 +25,7 @@ from models.gap.report.gap_charts import (
     draw_signal,
     signal_curves,
 )
-from models.gap.report.gap_json import DiagnosisInputs, GapDocument, MappedRegion, NamedEffect
+from models.gap.report.gap_json import DiagnosisInputs, GapDocument, NamedEffect
 from models.gap.report.gap_results import Diagnosis
 from models.gap.report.gap_words import (
     amount,
@@ -39,7 +39,7 @@ from models.gap.report.gap_words import (
     notes_in_words,
     refused_in_words,
 )
-from models.gap.residuals.localisation import FALSE_DISCOVERY_RATE, signal_in_words
+from models.gap.residuals.localisation import FALSE_DISCOVERY_RATE, GapRegion, signal_in_words
 from models.plant.plant import Plant
 from models.shared.catalogue import EVERY_EFFECT
 from models.shared.drawing import Drawing
@@ -261,7 +261,7 @@ def _rejected(document: GapDocument) -> Table:
 # --- maps of where the gap is --------------------------------------------------------------------
 
 
-def localisation_maps(cells: Sequence[MappedRegion], learned: bool) -> list[Part]:
+def localisation_maps(cells: Sequence[GapRegion], learned: bool) -> list[Part]:
     """One table for each factor, all on one scale: noise floors, if one is learned."""
     unit = "noise floors" if learned else "times the mean of its spectrum"
     largest = max([c.size for c in cells if c.factor in FACTORS] + [1.5])
@@ -278,7 +278,7 @@ def localisation_maps(cells: Sequence[MappedRegion], learned: bool) -> list[Part
     return [Paragraph(note, "note"), *maps]
 
 
-def _map(title: str, regions: Sequence[MappedRegion], largest: float) -> Table:
+def _map(title: str, regions: Sequence[GapRegion], largest: float) -> Table:
     levels = sorted({c.level for c in regions}, key=_level_order)
     by_place = {(c.signal, c.level): c for c in regions}
     rows: list[list[Cell]] = [
@@ -291,7 +291,7 @@ def _map(title: str, regions: Sequence[MappedRegion], largest: float) -> Table:
     return Table(title, ["", *(_level_words(level) for level in levels)], rows)
 
 
-def _shaded(region: MappedRegion | None, largest: float) -> TableCell:
+def _shaded(region: GapRegion | None, largest: float) -> TableCell:
     """Size of a region, shaded by its logarithm from the noise to the largest."""
     if region is None:
         return TableCell("")

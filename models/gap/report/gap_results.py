@@ -30,7 +30,6 @@ from models.gap.report.gap_json import (
     GapDocument,
     GapVerdict,
     HeldOutSummary,
-    MappedRegion,
     NamedEffect,
     NamingEvidence,
     NoiseFloorSummary,
@@ -235,8 +234,8 @@ def gap_document(diagnosis: Diagnosis) -> GapDocument:
         ),
         written=_written(diagnosis),
         sentence=_place(diagnosis),
-        located=_mapped([c for c in diagnosis.located if c.significant][:MOST_LOCATED]),
-        map=_mapped(diagnosis.located),
+        located=tuple(c for c in diagnosis.located if c.significant)[:MOST_LOCATED],
+        map=diagnosis.located,
         noise_floor=NoiseFloorSummary(
             floor.learned,
             signals,
@@ -478,16 +477,6 @@ def _errors(
         {s: in_floors(s, row.rms) for s, row in signal_errors(plant, compared).items()},
         {s: in_floors(s, rms) for s, rms in held_out.rms().items()},
     )
-
-
-def _mapped(regions: Sequence[GapRegion]) -> tuple[MappedRegion, ...]:
-    return tuple(
-        MappedRegion(
-            c.signal, c.factor, c.level, round(c.floors, 3), round(c.mean, 3), round(c.p, 4),
-            c.significant,
-        )
-        for c in regions
-    )  # fmt: skip
 
 
 def _place(diagnosis: Diagnosis) -> str:

@@ -14,9 +14,9 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Final
 
+import msgspec
 import numpy as np
 from scipy.stats import false_discovery_control
 
@@ -100,17 +100,21 @@ def _length(key: str) -> str:
     return f", {match['rows']} rows of {DURATION.text(float(match['step']))}"
 
 
-@dataclass(frozen=True)
-class GapRegion:
-    """One region of one signal, by one factor."""
+class GapRegion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Region of a signal by one factor: trial, payload, phase, direction, angle, stroke or band.
 
-    signal: str  # For example tip_x_m; factor and level: "phase", "3/8"
+    `size` is the root mean square and `mean` the signed mean of the residual, measured minus
+    simulated, in noise floors; `p` is the fraction of draws of noise alone that are as large.
+    `significant`: under the false-discovery rate.
+    """
+
+    signal: str
     factor: str
-    level: str
-    floors: float  # Root mean square of the residual in noise floors; 1 is noise
-    mean: float  # Signed mean residual, in noise floors: measured minus simulated
-    p: float  # Fraction of the bootstrap's draws that are as large
-    significant: bool = False  # Under the false-discovery rate
+    level: str  # For example "3/8" of the phase
+    size: float
+    mean: float
+    p: float
+    significant: bool = False
 
 
 def locate_gap(
@@ -139,7 +143,7 @@ def locate_gap(
             regions += _regions(signal, series[:, b], masks, drawn)
             regions += _bands(signal, rows[:, b], hz, rng)
     significant = _significant(regions, FALSE_DISCOVERY_RATE)
-    return sorted(significant, key=lambda c: (not c.significant, -c.floors))
+    return sorted(significant, key=lambda c: (not c.significant, -c.size))
 
 
 def _series(rows: Array, samples: int) -> Array:
@@ -233,38 +237,40 @@ def _regions(
     masks: Mapping[tuple[str, str], Array],
     noise: Mapping[tuple[str, str], Array],
 ) -> list[GapRegion]:
-    result = []
-    for (factor, level), mask in masks.items():
-        chosen = series[mask]
-        power = float(np.mean(chosen**2))
-        drawn = noise[factor, level]
-        p = (1 + np.sum(drawn >= power)) / (1 + len(drawn))
-        result.append(
-            GapRegion(
-                signal, factor, level, float(np.sqrt(power)), float(np.mean(chosen)), float(p)
-            )
-        )
-    return result
+    return [
+        _region(signal, factor, level, series[mask], noise[factor, level])
+        for (factor, level), mask in masks.items()
+    ]
 
 
 def _bands(signal: str, rows: Array, hz: Array, rng: np.random.Generator) -> list[GapRegion]:
     result = []
     for low, high in itertools.pairwise(BANDS_HZ):
         chosen = rows[:, (hz >= low) & (hz < high)].ravel()
-        if len(chosen) < LEAST_COEFFICIENTS:
-            continue
-        power = float(np.mean(chosen**2))
-        drawn = rng.chisquare(len(chosen), BOOTSTRAP_DRAWS) / len(chosen)
-        p = (1 + np.sum(drawn >= power)) / (1 + len(drawn))
-        level = f"{low:g} to {high:g} Hz"
-        result.append(GapRegion(signal, "band", level, float(np.sqrt(power)), 0.0, float(p)))
+        if len(chosen) >= LEAST_COEFFICIENTS:
+            drawn = rng.chisquare(len(chosen), BOOTSTRAP_DRAWS) / len(chosen)
+            region = _region(signal, "band", f"{low:g} to {high:g} Hz", chosen, drawn)
+            result.append(msgspec.structs.replace(region, mean=0.0))  # coefficients have no sign
     return result
 
 
+def _region(signal: str, factor: str, level: str, chosen: Array, drawn: Array) -> GapRegion:
+    """Region of a residual in noise floors (n,), against the power of draws of noise (draws,)."""
+    power = float(np.mean(chosen**2))
+    p = (1 + np.sum(drawn >= power)) / (1 + len(drawn))
+    return GapRegion(signal, factor, level, power**0.5, float(np.mean(chosen)), float(p))
+
+
 def _significant(regions: list[GapRegion], rate: float) -> list[GapRegion]:
-    """Regions with those marked that pass the false-discovery rate."""
+    """Regions with those marked that pass the false-discovery rate; rounded for readers."""
     adjusted = false_discovery_control([c.p for c in regions]) if regions else []
-    return [replace(c, significant=bool(p <= rate)) for c, p in zip(regions, adjusted, strict=True)]
+    return [
+        msgspec.structs.replace(
+            c, size=round(c.size, 3), mean=round(c.mean, 3), p=round(c.p, 4),
+            significant=bool(p <= rate),
+        )
+        for c, p in zip(regions, adjusted, strict=True)
+    ]  # fmt: skip
 
 
 IN_WORDS: Final = {
@@ -283,25 +289,25 @@ def location_sentence(regions: Sequence[GapRegion]) -> str:
     significant = [c for c in regions if c.significant]
     if not significant:
         return NOTHING_LOCATED
-    top = max(significant, key=lambda c: c.floors if c.factor == "stroke" else 0.0)
+    top = max(significant, key=lambda c: c.size if c.factor == "stroke" else 0.0)
     if top.factor != "stroke":
         top = significant[0]
     of_signal = [c for c in regions if c.signal == top.signal]
     where = f"on the {top.level}" if top.factor == "stroke" else f"for {top.factor} {top.level}"
     parts = [f"{signal_in_words(top.signal)} differs most {where}"]
-    if abs(top.mean) > ONE_SIDED * top.floors:
+    if abs(top.mean) > ONE_SIDED * top.size:
         side = "larger" if top.mean > 0 else "smaller"
         parts = [f"{signal_in_words(top.signal)} is measured {side} than simulated {where}"]
-    parts.append(f"{top.floors:.1f} noise floors")
+    parts.append(f"{top.size:.1f} noise floors")
     band = _largest(of_signal, "band")
     if band:
         parts.append(f"mostly at {band.level}")
     payload = sorted((c for c in of_signal if c.factor == "payload"), key=_payload)
     ratio = PAYLOAD_TREND
     several = len({c.level for c in payload}) > 1
-    if several and payload[-1].floors > ratio * payload[0].floors:
+    if several and payload[-1].size > ratio * payload[0].size:
         parts.append("growing with payload")
-    elif several and payload[0].floors > ratio * payload[-1].floors:
+    elif several and payload[0].size > ratio * payload[-1].size:
         parts.append("falling with payload")
     return f"With link and set-up refitted, {', '.join(parts)}."
 
@@ -312,7 +318,7 @@ def _payload(region: GapRegion) -> float:
 
 def _largest(regions: Sequence[GapRegion], factor: str) -> GapRegion | None:
     candidates = [c for c in regions if c.factor == factor and c.significant]
-    return max(candidates, key=lambda c: c.floors) if candidates else None
+    return max(candidates, key=lambda c: c.size) if candidates else None
 
 
 def signal_in_words(signal: str) -> str:

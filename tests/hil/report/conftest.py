@@ -25,7 +25,6 @@ from models.gap.report.gap_json import (
     FittedValue,
     GapDocument,
     HeldOutSummary,
-    MappedRegion,
     NamedEffect,
     NamingEvidence,
     NoiseFloorSummary,
@@ -35,6 +34,7 @@ from models.gap.report.gap_json import (
     SignalGap,
     WrittenPlant,
 )
+from models.gap.residuals.localisation import GapRegion
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant
@@ -127,7 +127,7 @@ def diagnosis():
         "band": ("0 to 0.3 Hz", "0.3 to 0.8 Hz"),
     }
     regions = tuple(
-        MappedRegion(signal, factor, level, size, 0.0, 0.0, size > 1)
+        GapRegion(signal, factor, level, size, 0.0, 0.0, size > 1)
         for factor, pair in levels.items()
         for signal in signals
         for level, size in zip(pair, (0.8, 12.3), strict=True)

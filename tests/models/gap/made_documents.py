@@ -2,6 +2,7 @@
 
 from models.gap.decision.certainty import Answers
 from models.gap.report import gap_json as gap
+from models.gap.residuals.localisation import GapRegion
 from models.gap.settings import DEFAULT_SETTINGS
 
 TIP, ANGLE = "tip_x_m", "angle_1_rad"
@@ -38,7 +39,7 @@ def document(verdict="no gap", *rows, answers=(0.0, 0.98, 0.02), learned=True, *
         "sentence": "With link and set-up refitted, the tip (x) differs most.",
         "located": (),
         "map": tuple(
-            gap.MappedRegion(signal, "trial", name, size, 0.0, 0.0, True)
+            GapRegion(signal, "trial", name, size, 0.0, 0.0, True)
             for signal, size in ((ANGLE, 9.0), (TIP, 3.0))
             for name in ("one", "two")
         ),

@@ -25,6 +25,7 @@ from models.gap.report.gap_words import (
     notes_in_words,
     strength_of,
 )
+from models.gap.residuals.localisation import GapRegion
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.document import FittedTrial, Provenance
 from tests.models.gap.made_documents import document, effect
@@ -272,11 +273,11 @@ def test_conditions_are_compared_with_those_of_the_plant(make_trial):
 
 def test_signals_are_ranked_by_their_largest_significant_gap_over_a_trial():
     rows = [
-        gap.MappedRegion("di", "trial", "one", 3.0, 0, 0, True),
-        gap.MappedRegion("tip_x_m", "trial", "one", 2.0, 0, 0, True),
-        gap.MappedRegion("tip_x_m", "trial", "two", 5.0, 0, 0, True),
-        gap.MappedRegion("current_1_a", "trial", "one", 9.0, 0, 0, False),
-        gap.MappedRegion("di", "band", "0 to 0.3 Hz", 20.0, 0, 0, True),
+        GapRegion("di", "trial", "one", 3.0, 0, 0, True),
+        GapRegion("tip_x_m", "trial", "one", 2.0, 0, 0, True),
+        GapRegion("tip_x_m", "trial", "two", 5.0, 0, 0, True),
+        GapRegion("current_1_a", "trial", "one", 9.0, 0, 0, False),
+        GapRegion("di", "band", "0 to 0.3 Hz", 20.0, 0, 0, True),
     ]
     assert gap.largest_gaps(rows) == {"tip_x_m": 5.0, "di": 3.0}
     assert list(gap.largest_gaps(rows[3:])) == ["current_1_a"]
@@ -284,9 +285,9 @@ def test_signals_are_ranked_by_their_largest_significant_gap_over_a_trial():
 
 def test_a_map_shows_every_value_and_shades_the_significant_ones():
     regions = [
-        gap.MappedRegion("tip_x_m", "phase", "1/8", 1.0, 0, 0.5, False),
-        gap.MappedRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
-        gap.MappedRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
+        GapRegion("tip_x_m", "phase", "1/8", 1.0, 0, 0.5, False),
+        GapRegion("tip_x_m", "phase", "2/8", 12.3, 0, 0, True),
+        GapRegion("angle_1_rad", "phase", "1/8", 3.21, 0, 0, True),
     ]
     _, table = localisation_maps(regions, learned=True)
     assert table.title == "Phase of the cycle" and list(table.header) == ["", "1/8", "2/8"]
