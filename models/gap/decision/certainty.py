@@ -8,7 +8,7 @@ missing, and that something outside of the catalogue is:
   since;
 - difference: by how much the strength of an effect differs between parts of the trials
   (`models.gap.search.strength_consistency`);
-- residual: what is unexplained, over what is left on such trials where nothing is missing.
+- residual: what is unexplained, in noise floors.
 
 Where nothing is missing, the plant's own error lets some effect reach a large d′ as well. But as a
 stand-in it needs another strength in each part of the trials. What stands in for something outside
@@ -39,6 +39,8 @@ DECIDED: Final = 0.9
 """Probability above which an effect counts as decided; below 1 − this, as excluded."""
 LEAST_SEPARATION: Final = 1.0
 """d′ below which a smaller one proves no less: its standard deviation by noise alone."""
+LEAST_RESIDUAL: Final = 1.0
+"""Mean squared residual below which a smaller one proves no less: that of noise."""
 LINK_CHANGED: Final = 2.0
 """Root mean square change of the link's parameters, in standard deviations of their priors, from
 which it counts as another link. Of 20 data sets for tuning without an effect the same link stayed
@@ -52,14 +54,10 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     difference: float
     residual: float  # Mean squared, in noise floors that allow for the equation's error
 
-    def terms(self, scale: float, residual_of_nothing: float) -> list[float]:
-        """Terms of the regression.
-
-        `scale`: factor that d′ is divided by. `residual_of_nothing`: residual below which a smaller
-        one proves no less.
-        """
+    def terms(self, scale: float) -> list[float]:
+        """Terms of the regression; `scale` is the factor that d′ is divided by."""
         separation = max(self.separation / scale, LEAST_SEPARATION)
-        residual = max(self.residual / residual_of_nothing, 1.0)
+        residual = max(self.residual, LEAST_RESIDUAL)
         return [1.0, float(np.log(separation)), self.difference, float(np.log(residual))]
 
 
@@ -97,11 +95,11 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         `is_further`: whether the evidence is that of what is missing beside another effect.
         """
         scale = self.further_scale if is_further else self.separation_scale
-        return self.answers_at(evidence, knowledge, scale[knowledge])
+        return self.answers_at(evidence, scale[knowledge])
 
-    def answers_at(self, evidence: Evidence, knowledge: Knowledge, scale: float) -> Answers:
+    def answers_at(self, evidence: Evidence, scale: float) -> Answers:
         """Probabilities of the answers with another factor on d′."""
-        terms = evidence.terms(scale, self.residual_of_nothing[knowledge])
+        terms = evidence.terms(scale)
         score = {name: float(np.dot(row, terms)) for name, row in self.coefficients.items()}
         weight = {name: np.exp(s - max(score.values())) for name, s in score.items()}
         total = sum(weight.values())

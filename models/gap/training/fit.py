@@ -81,12 +81,7 @@ def fitted_certainty(
     residual_of_nothing = {
         key: round(max(1.0, left.get(key, max(left.values()))), 3) for key in KNOWLEDGE
     }
-    x = np.array(
-        [
-            r.evidence.terms(scale[r.knowledge], residual_of_nothing[r.knowledge])[1:]
-            for r, _ in known
-        ]
-    )
+    x = np.array([r.evidence.terms(scale[r.knowledge])[1:] for r, _ in known])
     y = np.array([answer for _, answer in known])
     rigs = [r.case.rig for r, _ in known]
     if lacking := set(ANSWERS) - set(y):
@@ -114,11 +109,11 @@ def fitted_certainty(
             continue
         if key in STUDY_TRIALS:
             scale[key] = fewest_wrong(
-                partial(is_probable, certainty, key), scale[key],
+                partial(is_probable, certainty), scale[key],
                 [(r.evidence, answer == "catalogue") for r, answer in known if r.knowledge == key],
             )  # fmt: skip
         else:
-            scale[key] = _factor_without_names(certainty, key, scale[key], nulls.get(key, ()))
+            scale[key] = _factor_without_names(certainty, scale[key], nulls.get(key, ()))
     certainty = msgspec.structs.replace(certainty, separation_scale=scale)
     larger = list(_additions(certainty, possible))
     further = {
@@ -146,11 +141,11 @@ def fitted_certainty(
 
 
 def _factor_without_names(
-    certainty: Certainty, knowledge: Knowledge, least: float, nulls: Sequence[DataSetRecord]
+    certainty: Certainty, least: float, nulls: Sequence[DataSetRecord]
 ) -> float:
     """Least factor on d′ with which few data sets without an effect are given a name."""
     for factor in np.arange(least, MOST_FACTOR, FACTOR_STEP):
-        named = [is_probable(certainty, knowledge, r.evidence, factor) for r in nulls]
+        named = [is_probable(certainty, r.evidence, factor) for r in nulls]
         if sum(named) <= NAMED_FRACTION * len(nulls):
             return float(factor)
     return MOST_FACTOR
@@ -183,13 +178,11 @@ def _additions(
 def is_added(certainty: Certainty, addition: Addition, factor: float) -> bool:
     """Whether a larger set that is probable as a whole is named, with this factor."""
     leaves_nothing = addition.evidence.residual < LEAST_GAP
-    return leaves_nothing or is_probable(certainty, addition.knowledge, addition.added, factor)
+    return leaves_nothing or is_probable(certainty, addition.added, factor)
 
 
-def is_probable(
-    certainty: Certainty, knowledge: Knowledge, evidence: Evidence, factor: float
-) -> bool:
-    return certainty.answers_at(evidence, knowledge, factor).catalogue >= NAMED_PROBABILITY
+def is_probable(certainty: Certainty, evidence: Evidence, factor: float) -> bool:
+    return certainty.answers_at(evidence, factor).catalogue >= NAMED_PROBABILITY
 
 
 def limit(values: Sequence[float]) -> float:
