@@ -78,9 +78,6 @@ def fitted_certainty(
         if (answer := true_answer(r, r.evidence.separation > least * scale[r.knowledge]))
     ]  # fmt: skip
     left = {key: limit([r.evidence.residual for r in of_kind]) for key, of_kind in nulls.items()}
-    residual_of_nothing = {
-        key: round(max(1.0, left.get(key, max(left.values()))), 3) for key in KNOWLEDGE
-    }
     x = np.array([r.evidence.terms(scale[r.knowledge])[1:] for r, _ in known])
     y = np.array([answer for _, answer in known])
     rigs = [r.case.rig for r, _ in known]
@@ -95,10 +92,8 @@ def fitted_certainty(
     certainty = Certainty(
         made_with=dict(made_with),
         data_sets=len(known),
-        separation_of_nothing={
-            key: round(max(least, reached.get(key, max(reached.values()))), 1) for key in KNOWLEDGE
-        },
-        residual_of_nothing=residual_of_nothing,
+        separation_of_nothing=_limits_of_nothing(reached, 1),
+        residual_of_nothing=_limits_of_nothing(left, 3),
         separation_scale=dict(scale),
         further_scale=dict(scale),
         coefficients=_coefficients(_regression(best).fit(x, y)),
@@ -281,6 +276,12 @@ def _by_knowledge(records: Iterable[DataSetRecord]) -> dict[Knowledge, list[Data
     for record in records:
         result.setdefault(record.knowledge, []).append(record)
     return result
+
+
+def _limits_of_nothing(limits: Mapping[Knowledge, float], digits: int) -> dict[Knowledge, float]:
+    """Limits of nothing: never below that of the best known trials; the largest where unknown."""
+    least, most = limits["identified"], max(limits.values())
+    return {key: round(max(least, limits.get(key, most)), digits) for key in KNOWLEDGE}
 
 
 def _rounded(values: Mapping[str, float]) -> dict[str, float]:
