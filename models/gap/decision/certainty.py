@@ -12,18 +12,22 @@ missing, and that something outside of the catalogue is:
 
 Where nothing is missing, the plant's own error lets some effect reach a large d′ as well. But as a
 stand-in it needs another strength in each part of the trials. What stands in for something outside
-of the catalogue leaves more than noise. The numbers enter a multinomial logistic regression;
-`certainty.json` holds it with the error of each effect's equation.
+of the catalogue leaves more than noise. A logistic regression of the three numbers gives the
+probability of the effects. A second one, of d′ and of the residual over what is left where nothing
+is missing, shares the rest between nothing and something outside. `certainty.json` holds both with
+the error of each effect's equation.
 `python -m models.gap.training` makes the file.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Final, Literal
 
 import msgspec
 import numpy as np
+from scipy.special import expit
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.residuals.fit_parameters import NUISANCE_PRIOR_FRACTION
@@ -54,11 +58,17 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     difference: float
     residual: float  # Mean squared, in noise floors that allow for the equation's error
 
-    def terms(self, scale: float) -> list[float]:
-        """Terms of the regression; `scale` is the factor that d′ is divided by."""
+    def name_terms(self, scale: float) -> list[float]:
+        """Terms of the regression for the effects; `scale` is the factor that d′ is divided by."""
         separation = max(self.separation / scale, LEAST_SEPARATION)
         residual = max(self.residual, LEAST_RESIDUAL)
-        return [1.0, float(np.log(separation)), self.difference, float(np.log(residual))]
+        return [1.0, math.log(separation), self.difference, math.log(residual)]
+
+    def outside_terms(self, scale: float, residual_of_nothing: float) -> list[float]:
+        """Terms of the regression for something outside, against nothing."""
+        separation = max(self.separation / scale, LEAST_SEPARATION)
+        residual = max(self.residual / residual_of_nothing, 1.0)
+        return [1.0, math.log(separation), math.log(residual)]
 
 
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,7 +93,9 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     # The same for the d′ that an effect adds beside another one, where the error of the first one's
     # equation comes to that of the plant
     further_scale: dict[Knowledge, float]
-    coefficients: dict[str, list[float]]  # Of `Evidence.terms`, for each answer
+    # Coefficients of `Evidence.name_terms` and `Evidence.outside_terms`
+    name_coefficients: list[float]
+    outside_coefficients: list[float]
     # Root mean square error of a fitted strength beyond chance, as a fraction of it
     equation_error: dict[str, float]
 
@@ -95,15 +107,14 @@ class Certainty(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         `is_further`: whether the evidence is that of what is missing beside another effect.
         """
         scale = self.further_scale if is_further else self.separation_scale
-        return self.answers_at(evidence, scale[knowledge])
+        terms = evidence.outside_terms(scale[knowledge], self.residual_of_nothing[knowledge])
+        outside = float(expit(np.dot(self.outside_coefficients, terms)))
+        name = self.name_probability(evidence, scale[knowledge])
+        return Answers((1 - name) * (1 - outside), name, (1 - name) * outside)
 
-    def answers_at(self, evidence: Evidence, scale: float) -> Answers:
-        """Probabilities of the answers with another factor on d′."""
-        terms = evidence.terms(scale)
-        score = {name: float(np.dot(row, terms)) for name, row in self.coefficients.items()}
-        weight = {name: np.exp(s - max(score.values())) for name, s in score.items()}
-        total = sum(weight.values())
-        return Answers(**{name: float(w / total) for name, w in weight.items()})
+    def name_probability(self, evidence: Evidence, scale: float) -> float:
+        """Probability of the effects; `scale` is the factor that d′ is divided by."""
+        return float(expit(np.dot(self.name_coefficients, evidence.name_terms(scale))))
 
     def error_of_strength(self, effect: str) -> float:
         """Error of an effect's strength as a fraction; the largest measured one where unknown."""

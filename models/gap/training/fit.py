@@ -6,12 +6,14 @@ Every number that is printed was predicted with the rig of its data set left out
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Final, NamedTuple, TypeVar, get_args
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.stats import t as student
 from sklearn.linear_model import LogisticRegression
@@ -27,7 +29,7 @@ from models.gap.estimation.nuisance_fit import LEAST_GAP
 from models.gap.training.case_runs import Addition, DataSetRecord, Strength, effects_of
 from models.plant.step_model import Array
 
-ANSWERS: Final = ("catalogue", "nothing", "outside")  # In the order of scikit-learn's classes
+ANSWERS: Final = ("catalogue", "nothing", "outside")
 EXCEEDED: Final = 0.1
 """Fraction of data sets without an effect that may exceed a limit. The strengths of a further
 effect must be the same everywhere too, which few of these pass."""
@@ -78,25 +80,34 @@ def fitted_certainty(
         if (answer := true_answer(r, r.evidence.separation > least * scale[r.knowledge]))
     ]  # fmt: skip
     left = {key: limit([r.evidence.residual for r in of_kind]) for key, of_kind in nulls.items()}
-    x = np.array([r.evidence.terms(scale[r.knowledge])[1:] for r, _ in known])
-    y = np.array([answer for _, answer in known])
-    rigs = [r.case.rig for r, _ in known]
-    if lacking := set(ANSWERS) - set(y):
+    counts = Counter(answer for _, answer in known)
+    if lacking := [a for a in ANSWERS if a not in counts]:
         raise InputError(
-            "the data sets", f"have none with the answer {sorted(lacking)[0]!r}", "take more rigs"
+            "the data sets", f"have none with the answer {lacking[0]!r}", "take more rigs"
         )
-    predicted = {c: _left_out(c, x, y, rigs) for c in REGULARISATIONS}
-    loss = {c: log_loss(y, p, labels=ANSWERS) for c, p in predicted.items()}
-    best = min(loss, key=lambda c: loss[c])
+    of_nothing = _limits_of_nothing(left, 3)
+    name = _fitted_regression(
+        (r.case.rig, r.evidence.name_terms(scale[r.knowledge]), answer == "catalogue")
+        for r, answer in known
+    )
+    outside = _fitted_regression(
+        (
+            r.case.rig,
+            r.evidence.outside_terms(scale[r.knowledge], of_nothing[r.knowledge]),
+            answer == "outside",
+        )
+        for r, answer in known if answer != "catalogue"
+    )  # fmt: skip
     errors = equation_errors([s for r in possible for s in r.strengths])
     certainty = Certainty(
         made_with=dict(made_with),
         data_sets=len(known),
         separation_of_nothing=_limits_of_nothing(reached, 1),
-        residual_of_nothing=_limits_of_nothing(left, 3),
+        residual_of_nothing=of_nothing,
         separation_scale=dict(scale),
         further_scale=dict(scale),
-        coefficients=_coefficients(_regression(best).fit(x, y)),
+        name_coefficients=name.coefficients,
+        outside_coefficients=outside.coefficients,
         equation_error=_rounded(errors),
     )
     for key in KNOWLEDGE:
@@ -120,16 +131,15 @@ def fitted_certainty(
     }  # fmt: skip
     beside = {key: max(scale[key], further.get(key, max(further.values()))) for key in KNOWLEDGE}
     certainty = msgspec.structs.replace(certainty, further_scale=beside)
-    in_catalogue = predicted[best][:, ANSWERS.index("catalogue")]
-    counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
+    numbers = ", ".join(f"{a} {counts[a]}" for a in ANSWERS)
     report = [
-        f"{len(known)} data sets of {len(set(rigs))} rigs: {counts}",
+        f"{len(known)} data sets of {len({r.case.rig for r, _ in known})} rigs: {numbers}",
         *(f"{key}: d′ up to {reached[key]:.1f} and {left[key]:.2f} noise floors left in "
           f"{len(of_kind)} data sets without an effect, factor {scale[key]:g}"
           for key, of_kind in nulls.items()),
         *(f"{key}: factor {beside[key]:g} on what an effect adds" for key in STUDY_TRIALS),
-        f"log loss with each rig left out: {loss[best]:.3f} at C = {best:.3g}",
-        calibration_table(in_catalogue, y == "catalogue"),
+        f"log loss with each rig left out: names {name.loss:.3f}, the rest {outside.loss:.3f}",
+        calibration_table(name.left_out, [answer == "catalogue" for _, answer in known]),
         "error of the equations: " + ", ".join(f"{e} {v:.1%}" for e, v in sorted(errors.items())),
     ]  # fmt: skip
     return FittedCertainty(certainty, "\n".join(report))
@@ -177,7 +187,7 @@ def is_added(certainty: Certainty, addition: Addition, factor: float) -> bool:
 
 
 def is_probable(certainty: Certainty, evidence: Evidence, factor: float) -> bool:
-    return certainty.answers_at(evidence, factor).catalogue >= NAMED_PROBABILITY
+    return certainty.name_probability(evidence, factor) >= NAMED_PROBABILITY
 
 
 def limit(values: Sequence[float]) -> float:
@@ -244,31 +254,40 @@ def _scale(strengths: Sequence[Strength], general: float | None = None) -> float
     return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded").x))
 
 
+class _Regression(NamedTuple):
+    coefficients: list[float]  # Of the terms, the constant one first
+    left_out: Array  # Probability of each row with its rig left out
+    loss: float  # Log loss of these
+
+
+def _fitted_regression(rows: Iterable[tuple[str, Sequence[float], bool]]) -> _Regression:
+    """Logistic regression with the regularisation that predicts the rigs left out best.
+
+    `rows`: rig, terms with a constant one first, and whether the answer is yes.
+    """
+    rigs, terms, answers = (list(column) for column in zip(*rows, strict=True))
+    x, y = np.array(terms)[:, 1:], np.array(answers)
+    left_out = {c: _left_out(c, x, y, rigs) for c in REGULARISATIONS}
+    loss = {c: float(log_loss(y, p, labels=[False, True])) for c, p in left_out.items()}
+    best = min(loss, key=lambda c: loss[c])
+    scaler, regression = _regression(best).fit(x, y)
+    slopes = regression.coef_[0] / scaler.scale_
+    row = [regression.intercept_[0] - slopes @ scaler.mean_, *slopes]
+    return _Regression([round(float(v), 4) for v in row], left_out[best], loss[best])
+
+
 def _regression(c: float) -> Pipeline:
     return make_pipeline(StandardScaler(), LogisticRegression(C=c, max_iter=2000))
 
 
-def _coefficients(model: Pipeline) -> dict[str, list[float]]:
-    """Intercept and coefficients of the terms as they are, for each answer."""
-    scaler, regression = model
-    slopes = regression.coef_ / scaler.scale_
-    rows = np.column_stack([regression.intercept_ - slopes @ scaler.mean_, slopes])
-    return {
-        str(name): [round(float(v), 4) for v in row]
-        for name, row in zip(model.classes_, rows, strict=True)
-    }
-
-
-def _left_out(c: float, x: Array, y: Array, rigs: Sequence[str]) -> Array:
-    """Probability of each answer, predicted with the rig left out, (n, answers)."""
+def _left_out(c: float, x: Array, y: NDArray[np.bool_], rigs: Sequence[str]) -> Array:
+    """Probability of yes for each row, predicted with its rig left out."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a rig alone may lack an answer
         predicted = cross_val_predict(
             _regression(c), x, y, groups=rigs, cv=LeaveOneGroupOut(), method="predict_proba"
         )
-    return np.asarray(
-        np.clip(predicted, 1e-6, 1.0) / np.clip(predicted, 1e-6, 1.0).sum(1, keepdims=True)
-    )
+    return np.asarray(np.clip(predicted[:, 1], 1e-6, 1 - 1e-6))
 
 
 def _by_knowledge(records: Iterable[DataSetRecord]) -> dict[Knowledge, list[DataSetRecord]]:
