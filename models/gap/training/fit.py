@@ -110,27 +110,8 @@ def fitted_certainty(
         outside_coefficients=outside.coefficients,
         equation_error=_rounded(errors),
     )
-    for key in KNOWLEDGE:
-        if key == "identified":  # the others are compared with it
-            continue
-        if key in STUDY_TRIALS:
-            scale[key] = fewest_wrong(
-                partial(is_probable, certainty), scale[key],
-                [(r.evidence, answer == "catalogue") for r, answer in known if r.knowledge == key],
-            )  # fmt: skip
-        else:
-            scale[key] = _factor_without_names(certainty, scale[key], nulls.get(key, ()))
-    certainty = msgspec.structs.replace(certainty, separation_scale=scale)
-    larger = list(_additions(certainty, possible))
-    further = {
-        key: fewest_wrong(
-            partial(is_added, certainty), scale[key],
-            [(a, right) for a, right in larger if a.knowledge == key],
-        )
-        for key in STUDY_TRIALS
-    }  # fmt: skip
-    beside = {key: max(scale[key], further.get(key, max(further.values()))) for key in KNOWLEDGE}
-    certainty = msgspec.structs.replace(certainty, further_scale=beside)
+    certainty = _with_factors(certainty, known, possible)
+    scale, beside = certainty.separation_scale, certainty.further_scale
     numbers = ", ".join(f"{a} {counts[a]}" for a in ANSWERS)
     report = [
         f"{len(known)} data sets of {len({r.case.rig for r, _ in known})} rigs: {numbers}",
@@ -143,6 +124,37 @@ def fitted_certainty(
         "error of the equations: " + ", ".join(f"{e} {v:.1%}" for e, v in sorted(errors.items())),
     ]  # fmt: skip
     return FittedCertainty(certainty, "\n".join(report))
+
+
+def _with_factors(
+    certainty: Certainty,
+    known: Sequence[tuple[DataSetRecord, str]],
+    records: Sequence[DataSetRecord],
+) -> Certainty:
+    """Certainty with the factors on d′ that decide best, from the ratios of what is reached on."""
+    scale = dict(certainty.separation_scale)
+    for key in KNOWLEDGE:
+        if key == "identified":  # the others are compared with it
+            continue
+        if key in STUDY_TRIALS:
+            scale[key] = fewest_wrong(
+                partial(is_probable, certainty), scale[key],
+                [(r.evidence, answer == "catalogue") for r, answer in known if r.knowledge == key],
+            )  # fmt: skip
+        else:
+            nulls = [r for r in records if r.case.kind == "null" and r.knowledge == key]
+            scale[key] = _factor_without_names(certainty, scale[key], nulls)
+    certainty = msgspec.structs.replace(certainty, separation_scale=scale)
+    larger = list(_additions(certainty, records))
+    further = {
+        key: fewest_wrong(
+            partial(is_added, certainty), scale[key],
+            [(a, right) for a, right in larger if a.knowledge == key],
+        )
+        for key in STUDY_TRIALS
+    }  # fmt: skip
+    beside = {key: max(scale[key], further.get(key, max(further.values()))) for key in KNOWLEDGE}
+    return msgspec.structs.replace(certainty, further_scale=beside)
 
 
 def _factor_without_names(
