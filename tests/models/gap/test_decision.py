@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import get_args
 
 import msgspec
 import numpy as np
 import pytest
 
-from models.gap.decision.certainty import Answers, Evidence, read_certainty
+from models.gap.decision.certainty import Answers, Evidence, Knowledge, read_certainty
 from models.gap.decision.look_alikes import effect_probabilities, hypotheses_of, look_alikes_of
 from models.gap.decision.naming import Naming
 from models.gap.estimation.gauss_newton import FitPoint
@@ -53,6 +54,16 @@ def test_the_most_probable_answer_follows_the_evidence(evidence, answer):
 def test_evidence_that_speaks_for_a_name_makes_it_more_probable(less, more):
     first, second = (read_certainty().answers_for(e, "identified") for e in (less, more))
     assert first.catalogue < second.catalogue
+
+
+@pytest.mark.parametrize("knowledge", get_args(Knowledge))
+def test_far_more_than_is_left_without_an_effect_is_not_called_no_gap(knowledge):
+    """A stand-in with a d′ that nothing reaches too leaves four times what nothing leaves."""
+    certainty = read_certainty()
+    separation = certainty.separation_of_nothing[knowledge]
+    residual = 4 * certainty.residual_of_nothing[knowledge]
+    answers = certainty.answers_for(Evidence(separation, 0.5, residual), knowledge)
+    assert answers.outside > answers.nothing
 
 
 def test_an_effect_without_an_entry_is_treated_with_the_most_caution():
