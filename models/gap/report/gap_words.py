@@ -9,7 +9,7 @@ from typing import Final
 
 from firmware_py.core.signals import without_unit
 from firmware_py.core.units import DURATION, DisplayUnit, error_unit
-from models.gap.decision.certainty import DECIDED
+from models.gap.decision.certainty import DECIDED, LEAST_SEPARATION
 from models.gap.report.gap_json import (
     FittedValue,
     GapDocument,
@@ -134,11 +134,7 @@ def _verdict_in_words(document: GapDocument) -> str:
         case "closed":
             return f"{it} {explain} the gap; the rest is noise."
         case "reduced":
-            left = document.gap_left_fraction
-            return (
-                f"{it} {explain} a part of what a refit of link and set-up leaves; {left:.0%} of "
-                "that remains, above the noise."
-            )
+            return f"{it} {explain} a part of the gap; more than noise remains."
         case "no floor":
             fraction = document.held_out.fraction
             better = f"the held-out error falls to {fraction:.0%}, but " if named else ""
@@ -273,6 +269,8 @@ def look_alikes_in_words(row: NamedEffect) -> str:
     if best is None or not best.separation:
         return f"{words}."
     most = max(best.separation.values())
+    if most < LEAST_SEPARATION:
+        return f"{words}, nor would any motion that was tried."
     return f"{words}; {best.motion} would add most to separate them (d′ {most:.1f})."
 
 
